@@ -27,7 +27,7 @@ class Table:
         self.root_step, self.step = table["root_step"], table["step"]
         self.taxels = np.array(data["taxels"])
 
-    def places(self, contacts):
+    def locations(self, contacts):
         """Row (samples x 1) and column (samples x taxels) of every look-up, as fractions."""
         dx = contacts[:, 0:1] - self.taxels[:, 0]
         dy = contacts[:, 1:2] - self.taxels[:, 1]
@@ -44,7 +44,7 @@ class Spline(Table):
         self.coefficients = ndimage.spline_filter(self.values, order=3, mode="mirror") if order > 1 else self.values
 
     def read(self, contacts):
-        row, column = self.places(contacts)
+        row, column = self.locations(contacts)
         coordinates = np.stack([np.broadcast_to(row, column.shape), column])
         found = ndimage.map_coordinates(
             self.coefficients, coordinates, order=self.order, mode="mirror", prefilter=False
@@ -56,7 +56,7 @@ class Bilinear(Table):
     """Four gathers from a flat table."""
 
     def read(self, contacts):
-        row, column = self.places(contacts)
+        row, column = self.locations(contacts)
         i, j = row.astype(np.intp), column.astype(np.intp)
         s, t = row - i, column - j
         flat, width = self.values.ravel(), self.values.shape[1]

@@ -2,7 +2,7 @@
 
     taxim_peer.py DATA.json SECONDS PROCESSES
 
-DATA holds presses of a ball: for each picture one to three places (shares of the picture's width and height), depths [mm], and the
+DATA holds presses of a ball: for each picture one to three locations (shares of the picture's width and height), depths [mm], and the
 ball's diameter [mm]. Pictures are rendered for SECONDS in each of PROCESSES, without and with shadows. Printed as one line of JSON:
 pictures per second in all, by the clock and by CPU time, and the size of a picture.
 """

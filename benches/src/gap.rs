@@ -273,7 +273,7 @@ fn fabric(side: usize) -> Result<SkinDescription> {
     Ok(SkinDescription::from_toml(&text, "fabric")?)
 }
 
-/// Presses at random places of a device with these effects: load, hold, unload, rest.
+/// Presses at random locations of a device with these effects: load, hold, unload, rest.
 fn recorded(skin: &SkinDescription, effects: Vec<Effect>, contacts: u64) -> Result<Recording> {
     let mut device = skin.clone();
     device.effects = effects;

@@ -113,7 +113,7 @@ fn pictures(model: &ThumbModel, contacts: usize) -> Result<[Vec<Vec<u8>>; 2]> {
     Ok([untouched, touched])
 }
 
-/// Balls that press at places at least 15 mm apart.
+/// Balls that press at locations at least 15 mm apart.
 fn apart(model: &ThumbModel, contacts: usize, rng: &mut ChaCha8Rng) -> Vec<Indentation> {
     let elastomer = &model.parameters().elastomer;
     let mut held: Vec<Indentation> = Vec::new();

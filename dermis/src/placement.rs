@@ -1,4 +1,4 @@
-//! Where to put k sensing elements, of thousands of places where they could be.
+//! Where to put k sensing elements, of thousands of locations where they could be.
 
 use anyhow::Result;
 use clap::Args;

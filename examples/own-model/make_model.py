@@ -1,6 +1,6 @@
 """Writes an ONNX graph of the centre of pressure: python3 make_model.py SKIN.toml OUT.onnx
 
-Position: readings as weights of the places of the taxels. Force: their sum, times what one newton makes of it.
+Position: readings as weights of the locations of the taxels. Force: their sum, times what one newton makes of it.
 """
 
 import sys
@@ -13,13 +13,13 @@ from onnx import TensorProto, checker, helper, numpy_helper, save
 FORCE = np.float32(1e-4)
 
 skin = tomllib.load(open(sys.argv[1], "rb"))
-places = np.array([taxel["position"][:2] for taxel in skin["taxels"]], np.float32)
-count = len(places)
+locations = np.array([taxel["position"][:2] for taxel in skin["taxels"]], np.float32)
+count = len(locations)
 
 constants = {
     "zero": np.float32(0.0),
     "least": np.float32(1e-3),  # [Pa] so that nothing is divided by zero
-    "places": places,
+    "locations": locations,
     "axes": np.array([1], np.int64),
     "force": FORCE,
 }
@@ -27,7 +27,7 @@ nodes = [
     helper.make_node("Max", ["readings", "zero"], ["weights"]),
     helper.make_node("ReduceSum", ["weights", "axes"], ["sum"], keepdims=1),
     helper.make_node("Max", ["sum", "least"], ["total"]),
-    helper.make_node("MatMul", ["weights", "places"], ["moment"]),
+    helper.make_node("MatMul", ["weights", "locations"], ["moment"]),
     helper.make_node("Div", ["moment", "total"], ["position"]),
     helper.make_node("Mul", ["sum", "force"], ["pressing"]),
     helper.make_node("Concat", ["position", "pressing"], ["contact"], axis=1),

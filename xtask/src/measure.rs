@@ -36,7 +36,7 @@ pub enum Measurement {
     /// chooses, beside a network, support vectors and a Gaussian process, each alone. Written to benches/results/transfers.json.
     Transfers,
     /// The shipped bundles of the barometer skins beside the network of the thesis, tuned regressors on the same frames, and isolines, on
-    /// held-out places of the training bags. Written to benches/results/comparison-line.json, comparison-grid.json and comparison-dome.json.
+    /// held-out locations of the training bags. Written to benches/results/comparison-line.json, comparison-grid.json and comparison-dome.json.
     Comparisons,
     /// Localisation on recorded hydrogel skins, one plain and four patterned: import, train on four presses of five, evaluate on the
     /// rest. `DERMIS_E_SKINS` names the folder of the recordings.
@@ -44,7 +44,7 @@ pub enum Measurement {
     /// How much of what was measured on tanks of water a uniform sheet with complete electrodes explains. `DERMIS_DATA` names the
     /// folder of the recordings.
     Tanks,
-    /// Position and force by the model bundles that ship for the simulated barometer skins, on places and forces that
+    /// Position and force by the model bundles that ship for the simulated barometer skins, on locations and forces that
     /// they were not trained on, against the Cramér–Rao bound.
     Accuracy,
     /// The same by networks that are trained and measured on devices with the default effects, against what the thesis

@@ -22,68 +22,11 @@ use crate::{
     patience::{Patience, Patient, no_room},
 };
 
-/// How the chunks of a bag are compressed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Compression {
-    /// Not at all.
-    None,
-    /// zstd at level 1: what a recorder keeps up with.
-    Fast,
-    /// zstd at its default level 3.
-    #[default]
-    Default,
-    /// zstd at level 15: for archives; far slower than a sensor.
-    Small,
-}
+pub use options::{BagOptions, Compression};
 
-/// How a bag is laid out.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[non_exhaustive]
-pub struct BagOptions {
-    /// Compression of the chunks.
-    pub compression: Compression,
-    /// Uncompressed bytes of a chunk: a reader holds one chunk in memory, and an interruption loses at most the one
-    /// that is being filled.
-    pub chunk_bytes: u64,
-    /// A file that has reached this many bytes is closed and the next one is begun; `None` for one file.
-    pub split_bytes: Option<u64>,
-    /// A file whose messages span this much log time [ns] is closed and the next one is begun.
-    pub split_ns: Option<i64>,
-}
-
-impl Default for BagOptions {
-    fn default() -> Self {
-        Self {
-            compression: Compression::default(),
-            chunk_bytes: 768 * 1024,
-            split_bytes: None,
-            split_ns: None,
-        }
-    }
-}
-
-impl BagOptions {
-    /// With this compression.
-    #[must_use]
-    pub fn compression(mut self, compression: Compression) -> Self {
-        self.compression = compression;
-        self
-    }
-
-    /// Begins a new file after this many bytes; a message is never split.
-    #[must_use]
-    pub fn split_bytes(mut self, bytes: Option<u64>) -> Self {
-        self.split_bytes = bytes;
-        self
-    }
-
-    /// Begins a new file after this much log time [ns].
-    #[must_use]
-    pub fn split_ns(mut self, nanos: Option<i64>) -> Self {
-        self.split_ns = nanos;
-        self
-    }
-}
+mod options;
+mod parts;
+use parts::write_metadata_file;
 
 /// A topic that was declared to a [`BagWriter`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -555,63 +498,5 @@ impl BagWriter {
             custom: metadata.custom,
             complete: true,
         })
-    }
-}
-
-/// Writes `metadata.yaml` under a temporary name, then gives it its real one; on an error neither is left.
-fn write_metadata_file(dir: &Path, yaml: &str) -> Result<(), BagError> {
-    let target = dir.join("metadata.yaml");
-    let partial = dir.join("metadata.yaml.partial");
-    let written = File::create(&partial).and_then(|mut out| {
-        out.write_all(yaml.as_bytes())?;
-        out.sync_all()?;
-        std::fs::rename(&partial, &target)
-    });
-    written.map_err(|error| {
-        // Best effort: it is in nobody's way.
-        let _ = std::fs::remove_file(&partial);
-        BagError::io_or_full("write", &target, error)
-    })
-}
-
-impl Part {
-    /// Writes index and footer.
-    fn close(mut self, yaml: &str) -> Result<File, BagError> {
-        // The same text inside the file, as the rosbag2 plugin stores it, so that the .mcap alone tells all.
-        self.mcap
-            .write_metadata(&mcap::records::Metadata {
-                name: "rosbag2".into(),
-                metadata: BTreeMap::from([("serialized_metadata".to_owned(), yaml.to_owned())]),
-            })
-            .and_then(|()| self.mcap.finish().map(drop))
-            .map_err(|error| write_error(&self.path, &error))?;
-        let file = self.mcap.into_inner().file.into_inner().map_err(io::IntoInnerError::into_error);
-        let file = file.map_err(|error| write_error(&self.path, &mcap::McapError::Io(error)))?;
-        Ok(file.inner)
-    }
-}
-
-impl TopicMetadata {
-    fn of(topic: &Topic) -> Self {
-        Self {
-            name: topic.name.clone(),
-            type_name: topic.type_name.clone(),
-            encoding: "cdr".to_owned(),
-            qos: topic.qos,
-            type_hash: topic.type_hash.clone(),
-            messages: topic.messages,
-        }
-    }
-}
-
-impl From<TopicMetadata> for TopicInfo {
-    fn from(topic: TopicMetadata) -> Self {
-        Self {
-            name: topic.name,
-            type_name: topic.type_name,
-            messages: topic.messages,
-            type_hash: topic.type_hash,
-            qos: topic.qos,
-        }
     }
 }

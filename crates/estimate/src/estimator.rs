@@ -69,7 +69,7 @@ pub struct Verdict {
 /// Presence, position and force come from learned models, one contact at a time; a bundle whose manifest has `peaks` or `force_peaks`
 /// gives a map whose peaks are the contacts. One whose manifest has `inversion` has its answer refined on the skin's forward
 /// model (corrected, where it has a `correction`), which may tell several contacts apart: one after the other or, where it says so,
-/// among all pairs of places when contacts come and go, and from those of the frame before while they last. A frame goes through
+/// among all pairs of locations when contacts come and go, and from those of the frame before while they last. A frame goes through
 /// [`Conditioner`], the models' features, the models, [`Inverter`] and [`Tracker`]; nothing but the frames and the loaded
 /// bundles goes in, so that a recording gives the same contacts offline as it gave in the node; but for frames that came while a
 /// [search ran in the background](SkinEstimator::search_in_background).

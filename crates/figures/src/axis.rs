@@ -144,7 +144,7 @@ impl Labels {
     }
 }
 
-/// Round numbers between two places of an axis.
+/// Round numbers between two locations of an axis.
 pub(crate) fn ticks(low: f64, high: f64, log: bool) -> Vec<f64> {
     let round = |step: f64| -> Vec<f64> {
         let (first, last) = ((low / step - 1e-9).ceil() as i64, (high / step + 1e-9).floor() as i64);

@@ -193,7 +193,7 @@ fn label(at: Pos) -> TextStyle<'static> {
     TextStyle::from(("sans-serif", 12)).pos(at)
 }
 
-/// Axes that stand, for places of their values: logarithms on a logarithmic axis.
+/// Axes that stand, for locations of their values: logarithms on a logarithmic axis.
 type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<Scaled, Scaled>>;
 
 /// Title, axes and their labels, from the first to the second place; with `mesh` also lines at the ticks.

@@ -112,7 +112,7 @@ pub struct Cause {
     pub id: String,
     /// Share of the most that makes sense, 0 to 1.
     pub strength: f64,
-    /// What is drawn of it: signs, channels, places.
+    /// What is drawn of it: signs, channels, locations.
     pub seed: u64,
 }
 

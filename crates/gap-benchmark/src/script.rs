@@ -69,7 +69,7 @@ pub struct Script {
 const BREAK: f64 = 600.0;
 /// \[s\] of untouched readings before and after.
 const QUIET: f64 = 3.0;
-/// Locations of the other parts are counted from here on, so that no two places share a number.
+/// Locations of the other parts are counted from here on, so that no two locations share a number.
 const LOCATIONS: u32 = 1000;
 
 impl Script {
@@ -106,7 +106,7 @@ impl Script {
                 "[timing]\napproach = [0.05, 0.05]\nload = {load:?}\nhold = {hold:?}\nunload = {load:?}\ngap = [0.2, 0.3]\n"
             )
         };
-        // The same places, forces and speeds in both: the same seed.
+        // The same locations, forces and speeds in both: the same seed.
         let again = timing([0.2, 0.2], [0.3, 0.3]).replace("[0.2, 0.3]", "[0.25, 0.25]");
         let slow = timing([0.15, 0.5], [0.1, 0.5]);
         let fast = timing([0.04, 0.2], [0.1, 0.3]);

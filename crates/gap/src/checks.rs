@@ -83,7 +83,7 @@ pub fn readings(recording: &Recording, skin: &SkinDescription, samples: &Samples
         found.push(Problem::fatal(
             "few-contacts",
             format!(
-                "{contacts} presses only: causes are not named below {FEWEST_PRESSES}; press at more places"
+                "{contacts} presses only: causes are not named below {FEWEST_PRESSES}; press at more locations"
             ),
         ));
     }

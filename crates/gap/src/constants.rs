@@ -61,7 +61,7 @@ pub(crate) mod noise {
     pub const BELIEVED: f64 = 0.1;
     /// Relative difference of the forces of a press that is done again. Chosen.
     pub const SAME_FORCE: f64 = 0.05;
-    /// \[m\] between the places of a press that is done again. Chosen.
+    /// \[m\] between the locations of a press that is done again. Chosen.
     pub const SAME_PLACE: f64 = 1e-4;
     /// Pairs of repeats from which on the irreproducible share is measured. Chosen.
     pub const REPEATS: usize = 10;
@@ -168,7 +168,7 @@ pub(crate) mod location {
     pub const LEAST: usize = 8;
     /// \[1/s\] a force that changes by less of itself is held. Chosen.
     pub const STILL: f64 = 0.02;
-    /// Share of the frames of a place or press in one bin from which on the axis is one of places or presses. Chosen.
+    /// Share of the frames of a place or press in one bin from which on the axis is one of locations or presses. Chosen.
     pub const COMMON: f64 = 0.95;
     /// Correlation of bins from which on two axes are one in a recording. Chosen.
     pub const ONE: f64 = 0.97;
@@ -330,7 +330,7 @@ pub(crate) mod rivals {
     pub const AMOUNT: f64 = 0.05;
     /// Patterns of all channels that each may hold. Chosen.
     pub const PATTERNS: usize = 3;
-    /// Patches of a surface, at most, and places that each must have. Chosen.
+    /// Patches of a surface, at most, and locations that each must have. Chosen.
     pub const PATCHES: usize = 16;
     /// See [`PATCHES`].
     pub const PLACES_A_PATCH: usize = 6;
@@ -361,7 +361,7 @@ pub(crate) mod refine {
     pub const CANDIDATES: usize = 8;
     /// Starting points of a candidate. Design note, §5.
     pub const STARTS: usize = 8;
-    /// Share of a random effect's energy that offsets, gains and places must hold to stand for it. Chosen.
+    /// Share of a random effect's energy that offsets, gains and locations must hold to stand for it. Chosen.
     pub const HELD: f64 = 0.8;
 }
 
@@ -423,7 +423,7 @@ pub(crate) mod contest {
     /// Share of the gap by which a rival must explain more than the named effects to beat them. Calibrated: of 245 simulated devices with a
     /// cause of the library 0.031 at most (`dermis gap calibrate`, seeds 101 and 202).
     pub const BEATEN: f64 = 0.05;
-    /// Standard errors over places by which it must. 99 % of a normal distribution.
+    /// Standard errors over locations by which it must. 99 % of a normal distribution.
     pub const DEVIATIONS: f64 = 2.33;
     /// Share of the gap that may still go with the place beside a firm effect of channels. Calibrated.
     pub const PLACE: f64 = 0.15;
@@ -488,7 +488,7 @@ pub(crate) mod experiments {
 
 /// Presses to come.
 pub(crate) mod protocol {
-    /// Points of a surface that places are chosen from, about. Chosen: bounds the responses of the model.
+    /// Points of a surface that locations are chosen from, about. Chosen: bounds the responses of the model.
     pub const CANDIDATES: usize = 400;
     /// Share of the largest signal that a place must give to be pressed. Chosen.
     pub const SEEN: f64 = 0.02;
@@ -496,8 +496,8 @@ pub(crate) mod protocol {
     pub const MOVE: f64 = 2.0;
     /// \[s\] to change the tip once. Chosen.
     pub const TIP_CHANGE: f64 = 20.0;
-    /// Places whose presses are compared by a design. Chosen: bounds the simulations.
-    pub const PLACES: usize = 24;
+    /// Locations whose presses are compared by a design. Chosen: bounds the simulations.
+    pub const LOCATIONS: usize = 24;
     /// Directions that a rival is fitted in, at most. Chosen.
     pub const COLUMNS: usize = 24;
     /// Effects that stand as rivals beside what a report names. Chosen.
@@ -511,7 +511,7 @@ pub(crate) mod protocol {
     /// Share of what a hypothesis changes that its rival may leave over all presses of the menu for both to be one thing: one minus the share
     /// that makes two signatures one. Chosen.
     pub const ALIKE: f64 = 0.03;
-    /// Probability of confusion that remains after all presses of the menu at all places where a rig cannot tell two names. Chosen.
+    /// Probability of confusion that remains after all presses of the menu at all locations where a rig cannot tell two names. Chosen.
     pub const UNTELLABLE: f64 = 0.2;
 }
 

@@ -193,7 +193,7 @@ fn menu(simulator: &Simulator<'_>, row: &Sample, force: f64) -> Vec<Menu> {
         ),
         item(
             "offset",
-            "five places one millimetre from one another, along both axes",
+            "five locations one millimetre from one another, along both axes",
             2.0,
             [[0.0, 0.0], [1e-3, 0.0], [-1e-3, 0.0], [0.0, 1e-3], [0.0, -1e-3]]
                 .map(|[x, y]| Press { at: vec![near(x, y)], ..press(force) })

@@ -9,7 +9,7 @@
 //! | diagnosis | [`diagnose`], [`Report`] | verdict, size, place, causes with their classes, residual reduction |
 //!
 //! A gap is readings minus nominal model. Effects are compared by their signatures: what switching them on changes in our own
-//! simulator, over the presses of the recording. Whatever is measured of an effect is measured on places that it was not fitted
+//! simulator, over the presses of the recording. Whatever is measured of an effect is measured on locations that it was not fitted
 //! to. Energies are in deviations of the noise squared; shares are of the readings' variance (FVU) unless they say otherwise.
 //!
 //! Columns of effects are what switching an effect on changes in whole frames, of all contacts at once. Changes of several effects are

@@ -55,7 +55,7 @@ pub struct Gap {
     pub floor: f64,
     /// Systematic: what a better model could take away.
     pub systematic: f64,
-    /// 95 % interval of `systematic`, over places.
+    /// 95 % interval of `systematic`, over locations.
     pub interval: [f64; 2],
     /// What differs between presses that were done alike; part of `floor`. `None` without such presses.
     pub irreproducible: Option<f64>,
@@ -111,15 +111,15 @@ pub fn measure(
             s.pairs += 1.0;
         }
     }
-    // Presses that were done alike: same place, same force, same tip, same phase; a group holds places whole, whichever run they are of.
-    let mut places: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+    // Presses that were done alike: same place, same force, same tip, same phase; a group holds locations whole, whichever run they are of.
+    let mut locations: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
     for (i, r) in samples.list.iter().enumerate() {
         if r.phase == Phase::Hold && r.contacts == 1 {
-            places.entry(r.group).or_default().push(i);
+            locations.entry(r.group).or_default().push(i);
         }
     }
     let (mut again, mut repeats) = (0.0, 0usize);
-    for frames in places.values() {
+    for frames in locations.values() {
         for (a, &i) in frames.iter().enumerate() {
             for &j in &frames[a + 1..] {
                 let (p, q) = (&samples.list[i], &samples.list[j]);

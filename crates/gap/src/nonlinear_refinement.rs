@@ -132,7 +132,7 @@ pub struct Refinement {
     pub effects: Vec<Effect>,
     /// Simulated readings of all samples.
     pub readings: Vec<f32>,
-    /// Half of the 90 % interval of each free number, over places.
+    /// Half of the 90 % interval of each free number, over locations.
     pub halves: Vec<f64>,
 }
 

@@ -117,9 +117,9 @@ impl Recording {
     /// a recording, so that what was learned of it in one run is not held out in another.
     ///
     /// Within a run the rig says which presses share a place. Those of different runs do where all of their contacts lie within
-    /// the distance of a press that is done again: several bags count their places anew.
+    /// the distance of a press that is done again: several bags count their locations anew.
     #[must_use]
-    pub(crate) fn places(&self) -> Vec<(u32, u32)> {
+    pub(crate) fn locations(&self) -> Vec<(u32, u32)> {
         let own = |m: &FrameLabel| {
             // A press without a place is a place of its own.
             let location = if m.location == 0 { u32::MAX - m.press as u32 } else { m.location };
@@ -410,12 +410,12 @@ mod tests {
         };
         press(0, 1, 0.001);
         press(0, 2, 0.005);
-        // Within a run the rig says which places are one.
+        // Within a run the rig says which locations are one.
         press(0, 3, 0.005);
         press(1, 1, 0.005);
         press(1, 2, 0.0051);
         press(2, 1, 0.0010001);
-        assert_eq!(recording.places(), [(0, 1), (0, 2), (0, 3), (0, 2), (1, 2), (0, 1)]);
+        assert_eq!(recording.locations(), [(0, 1), (0, 2), (0, 3), (0, 2), (1, 2), (0, 1)]);
     }
 
     #[test]

@@ -66,8 +66,9 @@ pub struct DataSummary {
     /// Frames that were sampled.
     #[serde(alias = "rows")]
     pub samples: usize,
-    /// Places that were fitted and selected on, and places kept for the end.
-    pub places: [usize; 2],
+    /// Locations that were fitted and selected on, and locations kept for the end.
+    #[serde(alias = "places")]
+    pub locations: [usize; 2],
     /// Pairs of presses that were done alike.
     pub repeats: usize,
     /// Sessions.
@@ -128,7 +129,7 @@ pub struct ResidualReduction {
     /// switched on in it.
     pub achieved: Option<f64>,
     /// 90 % interval of what is achieved in another recording of the same device, from running selection and fit again on other draws of
-    /// places, and from what depends on the past or drifts randomly.
+    /// locations, and from what depends on the past or drifts randomly.
     pub interval: [f64; 2],
 }
 
@@ -189,7 +190,7 @@ pub struct Unknown {
     pub explainable: f64,
     /// Axes along which what is left goes, the strongest first.
     pub fingerprint: Vec<Axis>,
-    /// What named effects leave, by channels and places; absent where none is named.
+    /// What named effects leave, by channels and locations; absent where none is named.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub structure: Option<Structure>,
     /// How much speaks for a cause that the library lacks: logarithm of the odds where both kinds are equally frequent, calibrated on the
@@ -202,7 +203,7 @@ pub struct Unknown {
     /// Where it is called so beside a name, what the name leaves is shaped like.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub shape: Option<String>,
-    /// Share of the gap that this shape finds on places that it was not fitted to.
+    /// Share of the gap that this shape finds on locations that it was not fitted to.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub shape_share: Option<f64>,
     /// What speaks for and against "unknown", by name: what the names leave, what shapes without a cause find in it, and whether the

@@ -153,19 +153,19 @@ impl Samples {
         chosen.dedup_by_key(|c| c.0);
         let taken = presses.iter().step_by(keep).count();
 
-        // Places make groups; those of idle stretches are stretches.
+        // Locations make groups; those of idle stretches are stretches.
         let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
-        let place_of = recording.places();
-        let mut places: BTreeMap<(u32, u32), usize> = BTreeMap::new();
+        let place_of = recording.locations();
+        let mut locations: BTreeMap<(u32, u32), usize> = BTreeMap::new();
         for (frame, number, _) in &chosen {
             if *number != usize::MAX {
-                let next = places.len();
-                places.entry(place_of[*frame]).or_insert(next);
+                let next = locations.len();
+                locations.entry(place_of[*frame]).or_insert(next);
             }
         }
         let most = options.groups.max(8) * 9 / 10;
-        let touched = places.len().min(most);
-        let mut order: Vec<usize> = (0..places.len()).collect();
+        let touched = locations.len().min(most);
+        let mut order: Vec<usize> = (0..locations.len()).collect();
         order.shuffle(&mut rng);
         let stretches = (options.groups - most).clamp(1, 12);
         let idle_samples = chosen.iter().filter(|c| c.1 == usize::MAX).count();
@@ -179,7 +179,7 @@ impl Samples {
                 idle_seen += 1;
                 touched + stretch
             } else {
-                let index = places[&place_of[frame]];
+                let index = locations[&place_of[frame]];
                 order[index] % touched.max(1)
             };
             let first = label.stimulus.as_ref().and_then(|s| s.contacts.first());

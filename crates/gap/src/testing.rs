@@ -60,7 +60,7 @@ pub(crate) fn small(skin: &SkinDescription, rest: f64) -> Result<Arc<dyn Forward
     Ok(Arc::new(model.resting_at(|k| rest * (k + 1) as f64)))
 }
 
-/// 120 presses of 0.2 to 1 N at as many places, each between untouched frames, without readings.
+/// 120 presses of 0.2 to 1 N at as many locations, each between untouched frames, without readings.
 pub(crate) fn presses() -> Vec<FrameLabel> {
     let mut rng = ChaCha8Rng::seed_from_u64(4);
     let mut labels = Vec::new();

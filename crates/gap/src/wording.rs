@@ -122,7 +122,7 @@ pub(crate) fn sentence(report: &Report) -> String {
              look for an effect."
         ),
         Verdict::Undecided => format!(
-            "The gap ({size}, surely between {} and {} %) may be too small to matter: press more places, or harder, before you look for \
+            "The gap ({size}, surely between {} and {} %) may be too small to matter: press more locations, or harder, before you look for \
              its cause.",
             percent(gap.interval[0].max(0.0)),
             percent(gap.interval[1])

@@ -2,7 +2,6 @@
 //! `sensitivity.onnx` where contacts are read off a map, `correction.json` where a forward model was corrected by what was
 //! recorded, and, for people, `card.json`.
 
-use std::collections::BTreeMap;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
@@ -13,16 +12,20 @@ use sha2::{Digest, Sha256};
 use crate::correction::{self, CorrectionError};
 use crate::features::Features;
 use crate::file;
-use crate::interface::Interface;
 use crate::limits::Limits;
-use crate::manifest::{FileSection, Manifest, ManifestError, ModelSection, SkinSection};
-use crate::model::{Model, ModelError};
+use crate::manifest::{Manifest, ManifestError, ModelSection, SkinSection};
+use crate::model::Model;
 use crate::normalisation;
 use crate::onnx;
 use crate::outputs::Outputs;
 use crate::peaks::PeakSection;
 use crate::runtime::Runtime;
 use crate::trial::{self, Candidate};
+pub use error::{BundleError, SkinMismatch};
+pub use writer::BundleWriter;
+
+mod error;
+mod writer;
 
 const MANIFEST: &str = Bundle::MANIFEST;
 const MODEL: &str = "model.onnx";
@@ -32,163 +35,6 @@ const NORMALISATION: &str = "normalisation.npy";
 const CARD: &str = "card.json";
 /// \[bytes\] longest file of a correction: a device has thousands of channels at most.
 const LONGEST_CORRECTION: u64 = 64 << 20;
-
-/// A bundle that cannot be used or written, and why.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum BundleError {
-    /// There is no such folder.
-    #[error(
-        "model bundle {path}: there is no such folder; train one with `dermis train` or correct the path"
-    )]
-    NoFolder {
-        /// Folder that was requested.
-        path: PathBuf,
-    },
-    /// A file of the bundle is not there.
-    #[error(
-        "model bundle {path}: holds no `{file}`, so it is not a whole bundle; copy it again or train it anew"
-    )]
-    NoFile {
-        /// Folder of the bundle.
-        path: PathBuf,
-        /// File that is missing.
-        file: &'static str,
-    },
-    /// A file or folder cannot be read or written.
-    #[error("model bundle: {path} cannot be {action}: {source}")]
-    Io {
-        /// File or folder.
-        path: PathBuf,
-        /// `read` or `written`.
-        action: &'static str,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// What lies in a file's place is none.
-    #[error(
-        "model bundle file {path}: is no plain file, but a pipe, a device or a folder; copy the bundle again"
-    )]
-    NotAFile {
-        /// What lies there.
-        path: PathBuf,
-    },
-    /// A file is longer than any of its kind is.
-    #[error(
-        "model bundle file {path}: has {found} bytes, and at most {most} are read; is it the right file?"
-    )]
-    TooLong {
-        /// The file.
-        path: PathBuf,
-        /// Its length.
-        found: u64,
-        /// The longest that is read.
-        most: u64,
-    },
-    /// The manifest is wrong.
-    #[error(transparent)]
-    Manifest(#[from] ManifestError),
-    /// The graph's file is shorter or longer than the manifest says.
-    #[error(
-        "model file {path}: has {found} bytes where bundle.toml field `{field}.bytes` says {expected}: it was cut short \
-         or replaced; copy the bundle again"
-    )]
-    Length {
-        /// File of the graph.
-        path: PathBuf,
-        /// Table of the manifest that speaks of it.
-        field: &'static str,
-        /// Its length.
-        found: u64,
-        /// Length that the manifest says.
-        expected: u64,
-    },
-    /// The graph's file has another content than the manifest says.
-    #[error(
-        "model file {path}: has hash {found} where bundle.toml field `{field}.hash` says {expected}: it was damaged or \
-         replaced; copy the bundle again"
-    )]
-    Content {
-        /// File of the graph.
-        path: PathBuf,
-        /// Table of the manifest that speaks of it.
-        field: &'static str,
-        /// Its hash.
-        found: String,
-        /// Hash that the manifest says.
-        expected: String,
-    },
-    /// The graph cannot be used.
-    #[error("model file {path}: {source}")]
-    Model {
-        /// File of the graph.
-        path: PathBuf,
-        /// What is wrong with it.
-        source: ModelError,
-    },
-    /// The correction of the forward model cannot be used.
-    #[error("model bundle file {path}: {source}")]
-    Correction {
-        /// Its file.
-        path: PathBuf,
-        /// What is wrong with it.
-        source: CorrectionError,
-    },
-    /// The model was trained for another skin.
-    #[error(transparent)]
-    AnotherSkin(Box<SkinMismatch>),
-    /// The manifest names the skin's hash, but other channels or another unit: someone has edited it.
-    #[error(
-        "bundle file {path}: field `{field}`: {difference}, though `skin.hash` is that of skin `{skin}`; restore the file"
-    )]
-    Contradiction {
-        /// The manifest.
-        path: PathBuf,
-        /// `skin.channels` or `skin.unit`.
-        field: &'static str,
-        /// What differs.
-        difference: String,
-        /// Name of the skin.
-        skin: String,
-    },
-    /// The folder to write holds something else.
-    #[error("model bundle {path}: the folder exists and is no bundle; choose another one")]
-    Occupied {
-        /// Folder that was requested.
-        path: PathBuf,
-    },
-    /// The card cannot be written as JSON, or the manifest as TOML.
-    #[error("model bundle {path}: {file} cannot be encoded: {reason}")]
-    Encode {
-        /// Folder of the bundle.
-        path: PathBuf,
-        /// The file.
-        file: &'static str,
-        /// Why.
-        reason: String,
-    },
-}
-
-/// The skin that a model was trained for, and the one that it is to be used on.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error(
-    "model bundle {path}: was trained for skin `{bundle_skin}` ({bundle_hash}), not for `{skin}` ({skin_hash}): \
-     {difference}; train a model for this skin"
-)]
-pub struct SkinMismatch {
-    /// Folder of the bundle.
-    pub path: PathBuf,
-    /// Name of the skin that it was trained for.
-    pub bundle_skin: String,
-    /// Hash of the skin that it was trained for.
-    pub bundle_hash: String,
-    /// Name of the skin that it is to be used on.
-    pub skin: String,
-    /// Hash of the skin that it is to be used on.
-    pub skin_hash: String,
-    /// What differs.
-    pub difference: String,
-}
 
 /// A model bundle that fits a skin.
 #[derive(Debug, Clone)]
@@ -547,129 +393,4 @@ fn channel_difference(bundle: &[String], skin: &[String]) -> Option<String> {
             format!("the bundle has channels {only_bundle} where the skin has {only_skin}")
         }
     })
-}
-
-/// Writes a bundle folder.
-///
-/// Fields of the manifest that are not known when it is made are public.
-#[derive(Debug, Clone)]
-pub struct BundleWriter {
-    /// What `bundle.toml` will say; length and hash of the graph are filled in by [`write`](Self::write).
-    pub manifest: Manifest,
-    /// What `card.json` will say, for people: plots, tables, how it was trained.
-    pub card: BTreeMap<String, serde_json::Value>,
-    /// `sensitivity.onnx`, where the manifest has `peaks`, whose length and hash of it are filled in.
-    pub sensitivity: Option<Vec<u8>>,
-}
-
-impl BundleWriter {
-    /// A bundle of this manifest and an empty card.
-    #[must_use]
-    pub fn new(manifest: Manifest) -> Self {
-        Self { manifest, card: BTreeMap::new(), sensitivity: None }
-    }
-
-    /// Gives the graph another interface than one flat tensor each.
-    #[must_use]
-    pub fn with_interface(mut self, interface: Interface) -> Self {
-        if let Some(model) = &mut self.manifest.model {
-            model.interface = interface;
-        }
-        self
-    }
-
-    /// Writes the folder whole or not at all, with `graph` as its ONNX file where its manifest speaks of one. An older bundle at the same
-    /// path is replaced; anything else is left alone.
-    ///
-    /// # Errors
-    ///
-    /// [`BundleError`] where the manifest contradicts itself or the graph, or the folder cannot be written.
-    pub fn write(mut self, path: impl AsRef<Path>, graph: &[u8]) -> Result<(), BundleError> {
-        let path = path.as_ref();
-        if let Some(model) = &mut self.manifest.model {
-            (model.bytes, model.hash) = (graph.len() as u64, hash(graph));
-        }
-        if let (Some(peaks), Some(sensitivity)) = (&mut self.manifest.peaks, &self.sensitivity) {
-            peaks.sensitivity = ModelSection {
-                bytes: sensitivity.len() as u64,
-                hash: hash(sensitivity),
-                interface: PeakSection::interface(),
-            };
-            onnx::check(sensitivity, &peaks.sensitivity.interface)
-                .map_err(|source| BundleError::Model { path: path.join(SENSITIVITY), source })?;
-        }
-        let normalisation = (self.manifest.input.channels() >= normalisation::FROM)
-            .then(|| normalisation::encode(&self.manifest.input));
-        self.manifest.normalisation =
-            normalisation.as_ref().map(|bytes| FileSection { bytes: bytes.len() as u64, hash: hash(bytes) });
-        self.manifest.validate(&path.join(MANIFEST).display().to_string())?;
-        if let Some(model) = &self.manifest.model {
-            onnx::check(graph, &model.interface)
-                .map_err(|source| BundleError::Model { path: path.join(MODEL), source })?;
-        }
-        let encode = |file, reason: String| BundleError::Encode { path: path.to_owned(), file, reason };
-        let manifest =
-            toml::to_string(&*self.manifest.written()).map_err(|e| encode(MANIFEST, e.to_string()))?;
-        let card = serde_json::to_string_pretty(&self.card).map_err(|e| encode(CARD, e.to_string()))? + "\n";
-
-        let exists = path.exists();
-        if exists && !replaceable(path) {
-            return Err(BundleError::Occupied { path: path.to_owned() });
-        }
-        let parent = match path.parent() {
-            Some(parent) if !parent.as_os_str().is_empty() => parent,
-            _ => Path::new("."),
-        };
-        let written = |at: &Path| {
-            let at = at.to_owned();
-            move |source| BundleError::Io { path: at, action: "written", source }
-        };
-        std::fs::create_dir_all(parent).map_err(written(parent))?;
-        let scratch = scratch_folder(parent).map_err(written(parent))?;
-        let sensitivity = self.sensitivity.as_deref().filter(|_| self.manifest.peaks.is_some());
-        let files = [(MANIFEST, manifest.as_bytes()), (CARD, card.as_bytes())];
-        let graph = self.manifest.model.is_some().then_some(graph);
-        let optional =
-            [(MODEL, graph), (SENSITIVITY, sensitivity), (NORMALISATION, normalisation.as_deref())];
-        let optional = optional.into_iter().filter_map(|(file, content)| Some((file, content?)));
-        for (file, content) in files.into_iter().chain(optional) {
-            let at = scratch.path().join(file);
-            std::fs::File::create(&at)
-                .and_then(|mut f| f.write_all(content).and_then(|()| f.sync_all()))
-                .map_err(written(&at))?;
-        }
-        // A folder cannot be replaced in one step, so the old one moves aside first. It is removed with the
-        // folder it moves into.
-        let aside = scratch_folder(parent).map_err(written(parent))?;
-        if exists {
-            std::fs::rename(path, aside.path().join("old")).map_err(written(path))?;
-        }
-        if let Err(source) = std::fs::rename(scratch.path(), path) {
-            if exists {
-                // Best effort: the error that is reported is the one that matters.
-                let _ = std::fs::rename(aside.path().join("old"), path);
-            }
-            return Err(written(path)(source));
-        }
-        // It is the bundle now, not scratch any more.
-        let _ = scratch.keep();
-        Ok(())
-    }
-}
-
-/// Whether a path is a bundle or an empty folder.
-fn replaceable(path: &Path) -> bool {
-    path.join(MANIFEST).is_file() || std::fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_none())
-}
-
-/// A folder that others may read, since it becomes the bundle.
-fn scratch_folder(parent: &Path) -> std::io::Result<tempfile::TempDir> {
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(".bundle-");
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt;
-        builder.permissions(std::fs::Permissions::from_mode(0o755));
-    }
-    builder.tempdir_in(parent)
 }

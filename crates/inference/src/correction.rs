@@ -1,4 +1,4 @@
-//! `correction.json`: what presses at known places have shown of how a device differs from its forward model.
+//! `correction.json`: what presses at known locations have shown of how a device differs from its forward model.
 
 use dermis_inversion::{Correction, InverterError};
 use serde::{Deserialize, Serialize};
@@ -21,7 +21,7 @@ pub struct CorrectionSection {
     pub data_hash: String,
     /// Recorded presses that it was learned from.
     pub presses: u64,
-    /// Root mean square, in units of the noise, of what the forward model leaves of presses at places that nothing was learned
+    /// Root mean square, in units of the noise, of what the forward model leaves of presses at locations that nothing was learned
     /// from: without the correction, and with it.
     pub left: [f64; 2],
 }

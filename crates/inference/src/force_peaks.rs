@@ -18,7 +18,7 @@ pub struct ForcePeakSection {
     pub threshold: f64,
     /// Contacts at most.
     pub most: usize,
-    /// \[m\] root mean square error of places along either tangent, where it was measured.
+    /// \[m\] root mean square error of locations along either tangent, where it was measured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub position_sigma: Option<f64>,
     /// \[N\] root mean square error of forces, where it was measured.

@@ -46,7 +46,7 @@ const ERRORS: (f64, f64, usize) = (1e-4, 0.5, 12);
 
 /// Share of the surface up to which a channel that only presses there tell may go without a gain.
 const QUIET: f64 = 0.02;
-/// Places that say so, at most.
+/// Locations that say so, at most.
 const LOCATIONS: usize = 500;
 
 /// One labelled frame.

@@ -1,4 +1,4 @@
-//! A forward model that presses at known places have corrected.
+//! A forward model that presses at known locations have corrected.
 
 use std::sync::Arc;
 
@@ -29,7 +29,7 @@ impl Default for CorrectionSettings {
 }
 
 /// How the readings of a device differ from those of its forward model, as a function of place and force: a sum of Gaussians
-/// about places of the surface for each channel. What gains cannot say (elements that sit elsewhere, a wall that is thinner
+/// about locations of the surface for each channel. What gains cannot say (elements that sit elsewhere, a wall that is thinner
 /// here and there, a clamp that gives way) varies smoothly with the place of a contact, and presses all over the skin show it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

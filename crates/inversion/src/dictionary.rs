@@ -1,4 +1,4 @@
-//! Signals of single contacts at places all over a surface: where a search begins, and what a weak signal can mean.
+//! Signals of single contacts at locations all over a surface: where a search begins, and what a weak signal can mean.
 //!
 //! The dictionary holds single contacts only, so it is exact for one contact on every model. For several contacts it says where to
 //! start: the next contact is looked for in what the model itself leaves of all contacts found so far, and all of them are then
@@ -24,31 +24,31 @@ pub(crate) struct Location {
     pub area: f64,
 }
 
-/// Responses of a normal press at places × levels.
+/// Responses of a normal press at locations × levels.
 #[derive(Debug)]
 pub(crate) struct Dictionary {
     pub locations: Vec<Location>,
     /// \[N\] of the levels.
     pub forces: Vec<f64>,
     channels: usize,
-    /// places × levels × channels, gains included, in the unit of the skin.
+    /// locations × levels × channels, gains included, in the unit of the skin.
     responses: Vec<f32>,
-    /// places × channels: direction of the response at [`SHAPE`] in units of the noise.
+    /// locations × channels: direction of the response at [`SHAPE`] in units of the noise.
     directions: Vec<f32>,
-    /// For every place the places beside it.
+    /// For every place the locations beside it.
     neighbours: Vec<Vec<usize>>,
     /// For every place its [`mismatch`](Self::mismatch).
     mismatches: Vec<f64>,
 }
 
-/// Spacings within which places are neighbours.
+/// Spacings within which locations are neighbours.
 const BESIDE: f64 = 2.0;
 
 /// Level whose response stands for the others where only its shape matters.
 pub(crate) const SHAPE: usize = 1;
 
 impl Dictionary {
-    /// Places about `spacing` \[m\] apart, out of the points of the model's surface; on its middle line along x where only
+    /// Locations about `spacing` \[m\] apart, out of the points of the model's surface; on its middle line along x where only
     /// x is looked for, and within a region where one is given.
     pub fn new(
         model: &dyn ForwardModel,
@@ -88,13 +88,13 @@ impl Dictionary {
         Ok(Self { locations, forces, channels, responses, directions, neighbours, mismatches })
     }
 
-    /// Places beside a place.
+    /// Locations beside a place.
     pub fn neighbours(&self, location: usize) -> &[usize] {
         &self.neighbours[location]
     }
 
     /// Share of the square of a place's response that the response of a neighbour does not explain: the most of all neighbours.
-    /// A touch between places leaves no more than that where the nearest place is taken for its own.
+    /// A touch between locations leaves no more than that where the nearest place is taken for its own.
     pub fn mismatch(&self, location: usize) -> f64 {
         self.mismatches[location]
     }
@@ -227,7 +227,7 @@ mod tests {
         // Every point is a place.
         let all = thin(&surface, None, 0.0005);
         assert_eq!(all.iter().map(|p| p.area).collect::<Vec<_>>(), surface.areas);
-        // On the line both rows fall together, and places lie three points apart. The same without cells; no point is as near to
+        // On the line both rows fall together, and locations lie three points apart. The same without cells; no point is as near to
         // one place as to another.
         let locations = thin(&surface, Some(0.0), 0.0025);
         let mut expected: Vec<(f64, f64)> = Vec::new();

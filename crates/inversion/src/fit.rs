@@ -154,7 +154,7 @@ impl Problem<'_> {
                 weights = now;
                 // Derivatives of the residuals by every unknown.
                 let stimulus = Stimulus { contacts: contacts.clone(), ..Stimulus::default() };
-                // Beside an edge of the surface, where its normal jumps, a sheared contact may pull at its neighbours' places: as far as here
+                // Beside an edge of the surface, where its normal jumps, a sheared contact may pull at its neighbours' locations: as far as here
                 // the model knows an answer.
                 let slopes =
                     self.model.jacobian(&stimulus, self.unknowns, &differences, jacobian.as_mut_slice());

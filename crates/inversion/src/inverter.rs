@@ -5,7 +5,7 @@
 //! each number is refined by least squares over all unknowns ([`Problem`]). A further contact must lower the sum of squared
 //! deviations by more than [`Settings::evidence`]. Assumptions: Gaussian noise that is independent from channel to channel, straight
 //! presses of one tip as starts, and a device that is like its model but for gains and a relative error. Cost: one product with a
-//! dictionary of some 1,500 places for each further contact, and some tens of responses and Jacobians for each start.
+//! dictionary of some 1,500 locations for each further contact, and some tens of responses and Jacobians for each start.
 
 mod describe;
 mod modes;
@@ -27,7 +27,7 @@ use modes::Mode;
 use starts::{APART, Start};
 
 /// A weak contact whose place is known no better than this many spacings of the dictionary is answered by the mean over
-/// all places that it may have.
+/// all locations that it may have.
 const BROAD: f64 = 0.8;
 /// Spacings of the dictionary below which a place is known in a direction.
 const NARROW: f64 = 0.3;
@@ -38,11 +38,11 @@ const PLAUSIBLE: f64 = 2.0;
 const CLEAR: f64 = 0.1;
 /// What a step gains at the least in a search near what is known: it leaves a thirtieth of the noise's own deviation.
 const NEAR_GAIN: f64 = 1e-3;
-/// Pairs of places, and single ones, that a search begins at.
+/// Pairs of locations, and single ones, that a search begins at.
 const PAIRS: usize = 5;
 /// Spacings of the dictionary that a contact moves in one step, where that is more than [`STRIDE`].
 const STEP: f64 = 0.75;
-/// Places of a dictionary at most, roughly.
+/// Locations of a dictionary at most, roughly.
 const LOCATIONS: f64 = 1500.0;
 
 /// Finds contacts that explain readings.
@@ -178,7 +178,7 @@ impl Inverter {
 
     /// How surely readings show a contact at all: by how much the best single one of the dictionary lowers the sum of
     /// squared deviations, and what it leaves per reading. A matched filter, that finds contacts which no channel shows by
-    /// itself; drift, which has another pattern, leaves more than noise does. So does a strong contact with shear or between places of the
+    /// itself; drift, which has another pattern, leaves more than noise does. So does a strong contact with shear or between locations of the
     /// dictionary: where each place has a pattern of its own ([`Search::Near`]), nothing counts as left as soon as a place explains
     /// a tenth of the whole. (0, 0) for readings of another skin.
     #[must_use]
@@ -249,7 +249,7 @@ impl Inverter {
         Ok(self.solution(&best, &data))
     }
 
-    /// As [`solve`](Self::solve), but looks for two contacts among all pairs of places, not for the second beside the first:
+    /// As [`solve`](Self::solve), but looks for two contacts among all pairs of locations, not for the second beside the first:
     /// where elements are few and each responds to half of the surface, the best single contact may be none of the two. Takes some
     /// milliseconds.
     ///
@@ -278,7 +278,7 @@ impl Inverter {
                 break;
             }
             let mut starts: Vec<Vec<Indentation>> = Vec::new();
-            // Pairs are added up of places that were pressed alone: only a medium that does so can be searched by them.
+            // Pairs are added up of locations that were pressed alone: only a medium that does so can be searched by them.
             if contacts == 2 && self.model.0.superposes() {
                 let bounds = (s.distance, s.force_max * 1.2, s.diameter);
                 let pairs = self.pairs.best(&self.dictionary, &data, bounds, PAIRS);
@@ -330,7 +330,7 @@ impl Inverter {
 
     /// The contacts of the frame `before`, moved to where they explain these readings best: what [`search`](Self::search) finds,
     /// in a fraction of its time, for as long as the same contacts last. `None` where that is not so: they leave more than noise
-    /// leaves, fewer would do, or their places are all but open. Then search anew.
+    /// leaves, fewer would do, or their locations are all but open. Then search anew.
     ///
     /// # Errors
     ///

@@ -4,7 +4,7 @@
 //! which contacts would have made these readings? [`Inverter`] finds them, one or several, with the error that the noise
 //! leaves, for any [`ForwardModel`](dermis_model::ForwardModel). [`Calibration`] measures on labelled readings how far a
 //! device and its forward model are apart, so that the answer does not believe the model more than it deserves, and
-//! [`Corrected`] takes what presses at known places show of the difference into the model.
+//! [`Corrected`] takes what presses at known locations show of the difference into the model.
 //!
 //! [`PeakFinder`] and [`ForcePeakFinder`] need no forward model: contacts as the peaks of a displacement map, or of a map of forces,
 //! that something else has found.

@@ -1,7 +1,7 @@
 //! The search for contacts where each place has a pattern of its own.
 //!
 //! Problem: a skin with very many elements tells every place from every other, and a contact is found as soon as somebody knows roughly where
-//! it is. To look for other places that explain the same readings, as a skin of few elements needs, is then most of the time of a frame, and to
+//! it is. To look for other locations that explain the same readings, as a skin of few elements needs, is then most of the time of a frame, and to
 //! find several contacts one after the other refines the first again and again. Method: least squares from where contacts are supposed to be;
 //! what leaves no more than noise does is the answer. Where nothing does, it is begun at peaks of the dictionary: first on readings whose strong
 //! ones count for less, for there the minimum of a contact is wide (graduated non-convexity, A. Blake and A. Zisserman, *Visual Reconstruction*,
@@ -27,7 +27,7 @@ const TOGETHER: f64 = 0.3;
 const COARSE: f64 = 0.2;
 /// Peaks that a single contact is begun at, at most.
 const ALONE: usize = 4;
-/// Places that a single contact is begun at besides, at most, and how many spacings of the dictionary they are apart.
+/// Locations that a single contact is begun at besides, at most, and how many spacings of the dictionary they are apart.
 const ELSEWHERE: usize = 16;
 const BESIDE: f64 = 1.2;
 /// Deviations of its expectation up to which a sum of squared deviations is what noise leaves: noise alone begins one search of a thousand
@@ -153,7 +153,7 @@ impl Inverter {
         self.take_in(problem, data, best, most)
     }
 
-    /// A single contact that explains readings which `best` does not, begun at places beside the peaks as well: where shear or a beam beneath
+    /// A single contact that explains readings which `best` does not, begun at locations beside the peaks as well: where shear or a beam beneath
     /// moves the pattern, the true place lies on a slope of the dictionary's scores.
     fn elsewhere(
         &self,
@@ -271,7 +271,7 @@ impl Inverter {
         minimum.chi2 + self.settings().evidence * minimum.contacts.len() as f64
     }
 
-    /// Presses at the places of the dictionary that explain what `best` leaves, each better than its neighbours do, by `least` or more, and not
+    /// Presses at the locations of the dictionary that explain what `best` leaves, each better than its neighbours do, by `least` or more, and not
     /// much worse than the best of them.
     fn peaks_left(&self, data: &[Datum], best: &Minimum, room: usize, least: f64) -> Vec<Indentation> {
         let left = crate::inverter::residuals(data, &best.signal);
@@ -360,7 +360,7 @@ mod tests {
         }
     }
 
-    /// A place that is on no peak is found from the places beside the peaks, and what explains the readings is left as it is.
+    /// A place that is on no peak is found from the locations beside the peaks, and what explains the readings is left as it is.
     #[test]
     fn a_contact_is_looked_for_beside_the_peaks() {
         let (inverter, model) = inverter();

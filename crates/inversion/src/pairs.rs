@@ -1,4 +1,4 @@
-//! Where to begin with two contacts: the best of all pairs of places.
+//! Where to begin with two contacts: the best of all pairs of locations.
 
 use dermis_model::Indentation;
 use nalgebra::{Point3, Vector3};
@@ -6,10 +6,10 @@ use nalgebra::{Point3, Vector3};
 use crate::dictionary::{Dictionary, SHAPE};
 use crate::fit::Datum;
 
-/// Places whose pairs are gone through, roughly.
+/// Locations whose pairs are gone through, roughly.
 const LOCATIONS: usize = 420;
 
-/// Some places of a dictionary, all over the surface.
+/// Some locations of a dictionary, all over the surface.
 #[derive(Debug)]
 pub(crate) struct Pairs {
     locations: Vec<usize>,
@@ -127,7 +127,7 @@ mod tests {
     const FORCE_MAX: f64 = 3.0;
     const APART: f64 = 0.008;
 
-    /// The best pairs for what presses of these forces \[N\] at two places read together, as if a force could pull.
+    /// The best pairs for what presses of these forces \[N\] at two locations read together, as if a force could pull.
     fn best(forces: [f64; 2]) -> Vec<[Indentation; 2]> {
         let toy = grid(1.0);
         let gains = vec![1.0; toy.channels()];

@@ -68,7 +68,7 @@ pub enum Search {
     /// One after the other ([`Inverter::solve`]): where elements are many and each responds to what is near.
     #[default]
     Greedy,
-    /// The first two among all pairs of places ([`Inverter::search`]), and from frame to frame ([`Inverter::follow`]): where
+    /// The first two among all pairs of locations ([`Inverter::search`]), and from frame to frame ([`Inverter::follow`]): where
     /// elements are few and each responds to half of the surface. Where contacts change what others do, no pairs are added up, and
     /// following is what is left of it.
     Pairs,
@@ -90,7 +90,7 @@ pub enum ForcePrior {
     /// Every force is as likely as any other.
     #[default]
     Uniform,
-    /// Every ratio is as likely as any other, up to the largest force. For skins with places where nothing gives way: without it,
+    /// Every ratio is as likely as any other, up to the largest force. For skins with locations where nothing gives way: without it,
     /// a light touch looks like a strong one there.
     Log,
 }
@@ -174,7 +174,7 @@ impl Settings {
         found.iter().map(|c| self.indentation(c.position, c.force)).collect()
     }
 
-    /// Whether contacts are searched among all pairs of places.
+    /// Whether contacts are searched among all pairs of locations.
     #[must_use]
     pub fn in_pairs(&self) -> bool {
         self.contacts > 1 && self.search == Search::Pairs

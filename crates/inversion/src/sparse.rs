@@ -17,7 +17,7 @@ const SETTLED: f64 = 1e-4;
 pub struct SparseSettings {
     /// Penalty as a share of the one that leaves nothing: small keeps many contacts.
     pub penalty: f64,
-    /// \[m\] within which places are one contact.
+    /// \[m\] within which locations are one contact.
     pub radius: f64,
     /// Share of the strongest contact's force below which another is none.
     pub share: f64,
@@ -30,9 +30,9 @@ impl Default for SparseSettings {
 }
 
 impl Inverter {
-    /// Contacts by a least-squares fit with an ℓ₁ penalty over the forces at places all over the surface, none of which
+    /// Contacts by a least-squares fit with an ℓ₁ penalty over the forces at locations all over the surface, none of which
     /// pulls (R. Tibshirani, *J. R. Stat. Soc. B* 58 (1996) 267; coordinate descent as in J. Friedman et al., *J. Stat. Softw.* 33
-    /// (2010) 1). Places that stand together are one contact at their mean, weighted by force. The medium is taken to
+    /// (2010) 1). Locations that stand together are one contact at their mean, weighted by force. The medium is taken to
     /// be linear; [`refine`](Self::refine) goes on from here without that. For a model that does not
     /// [superpose](dermis_model::ForwardModel::superposes) a sum of single responses is no answer: there the fit is only the start,
     /// and what is returned was refined on the model.
@@ -91,7 +91,7 @@ impl Inverter {
     }
 }
 
-/// Amplitudes of unit directions (places × channels, end to end) from 0 up to the `most` of each place.
+/// Amplitudes of unit directions (locations × channels, end to end) from 0 up to the `most` of each place.
 fn lasso(signal: &[f64], directions: &[f32], most: &[f64], share: f64) -> Vec<f64> {
     let (channels, locations) = (signal.len(), most.len());
     let direction = |location: usize| &directions[location * channels..(location + 1) * channels];
@@ -110,7 +110,7 @@ fn lasso(signal: &[f64], directions: &[f32], most: &[f64], share: f64) -> Vec<f6
         }
         (after - before).abs()
     };
-    // All places once, then those that matter until they stand still, and so on until no other wants to join.
+    // All locations once, then those that matter until they stand still, and so on until no other wants to join.
     for _ in 0..ROUNDS {
         let mut change: f64 = 0.0;
         for location in 0..locations {

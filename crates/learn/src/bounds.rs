@@ -92,7 +92,7 @@ pub struct AgainstBound {
     /// By true normal force.
     pub by_force: Vec<RatioBin>,
     /// Of positions, those alone whose bound is below [`WELL_DETERMINED`]; absent where all are, or none. A root mean square over all
-    /// places is that of the few where the channels hardly tell the place.
+    /// locations is that of the few where the channels hardly tell the place.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub well_determined: Option<WellDetermined>,
 }

@@ -222,7 +222,7 @@ impl Dataset {
             findings.notice(
                 &place,
                 format!("was pressed at {locations} locations only"),
-                "figures of the held-out ones say little; press at more places",
+                "figures of the held-out ones say little; press at more locations",
             );
         }
         findings

@@ -258,7 +258,7 @@ fn quoted(names: &std::collections::BTreeSet<String>) -> String {
     names.iter().map(|n| format!("`{n}`")).collect::<Vec<_>>().join(", ")
 }
 
-/// Places that were pressed, over all bags of a data set: where the same place was pressed again is the same location,
+/// Locations that were pressed, over all bags of a data set: where the same place was pressed again is the same location,
 /// whichever cell of a grid its scatter falls into.
 #[derive(Debug, Default)]
 pub(crate) struct Locations(Vec<(Point3<f64>, u32)>);
@@ -269,7 +269,7 @@ impl Locations {
         if let Some((_, id)) = near {
             return *id;
         }
-        // The identity depends on the place only, so that other bags of the same places are split alike.
+        // The identity depends on the place only, so that other bags of the same locations are split alike.
         let mut id = 0x811c_9dc5_u32;
         for v in point.iter() {
             for byte in ((v / size).round() as i64).to_le_bytes() {

@@ -1,7 +1,7 @@
 //! Several contacts from few readings by way of a simulation, in the manner of HapDefX (H. Sun and G. Martius, *Front.
 //! Neurorobot.* 13 (2019) 51).
 //!
-//! A device can be pressed at one place at a time all over, but hardly at all pairs, triples and quadruples of places; its
+//! A device can be pressed at one place at a time all over, but hardly at all pairs, triples and quadruples of locations; its
 //! forward model can. So three networks share the work:
 //!
 //! | network | from → to | learned from |

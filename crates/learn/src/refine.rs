@@ -108,7 +108,7 @@ pub struct Learned {
     pub left: [f64; 2],
 }
 
-/// The correction, learned from `recorded`, that leaves least of presses at other places (`chosen`). `gains` are those of
+/// The correction, learned from `recorded`, that leaves least of presses at other locations (`chosen`). `gains` are those of
 /// [`settings`]. `watch` receives the progress, from 0 to 1, and says whether it goes on; `None` where it does not.
 ///
 /// # Errors

@@ -9,7 +9,7 @@ use dermis_learn::Evaluation;
 use dermis_studies::comparison::Findings;
 use serde_json::Value;
 
-/// One table for places, one for forces, and one for each map that an estimator gives.
+/// One table for locations, one for forces, and one for each map that an estimator gives.
 ///
 /// # Errors
 ///
@@ -18,8 +18,8 @@ pub fn text(findings: &Findings) -> Result<String> {
     let record = serde_json::to_value(findings)?;
     let skin = &findings.skin;
     let mut out = format!(
-        "{}: {} readings at {} places that nothing was trained on\n",
-        skin.name, record["readings"], record["places"]
+        "{}: {} readings at {} locations that nothing was trained on\n",
+        skin.name, record["readings"], record["locations"]
     );
     for left_out in &findings.left_out {
         let _ = writeln!(out, "{left_out}");

@@ -14,7 +14,7 @@ pub fn text(findings: &Findings) -> String {
     if let Some((learned, _)) = &refinement.correction {
         let _ = writeln!(
             out,
-            "correction: {} presses; at other places the forward model leaves {:.1} times the noise without it, {:.1} with it",
+            "correction: {} presses; at other locations the forward model leaves {:.1} times the noise without it, {:.1} with it",
             learned.presses, learned.left[0], learned.left[1]
         );
     }

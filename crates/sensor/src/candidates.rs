@@ -5,7 +5,7 @@ use dermis_skin::{SkinDescription, Taxel};
 /// Most candidates of a family without a preference.
 const MOST: usize = 1500;
 
-/// Places below the points of the surface, as deep as the present elements lie (their median), and with the axis of the first,
+/// Locations below the points of the surface, as deep as the present elements lie (their median), and with the axis of the first,
 /// if it has one. At most 1500.
 #[must_use]
 pub fn below_the_surface(skin: &SkinDescription) -> Vec<Taxel> {

@@ -119,7 +119,7 @@ impl Surface {
                     let equator = Point3::new(radius * cos, radius * sin, cylinder);
                     (radius * angle).hypot(cylinder - low.z) + arc(&equator, &high)
                 };
-                // Where the way crosses the equator: near the best of some places, the length has one minimum.
+                // Where the way crosses the equator: near the best of some locations, the length has one minimum.
                 let locations = (0..=16).map(|i| f64::from(i) / 16.0);
                 let near = locations.min_by(|p, q| through(*p).total_cmp(&through(*q))).unwrap_or(0.0);
                 let (mut from, mut to) = ((near - 1.0 / 16.0).max(0.0), (near + 1.0 / 16.0).min(1.0));

@@ -90,7 +90,7 @@ pub struct Findings {
     pub skin: SkinDescription,
     /// Readings that every estimator answered.
     pub readings: usize,
-    /// Different places of these.
+    /// Different locations of these.
     pub locations: usize,
     /// \[N\] at which the bins of errors by force begin.
     pub bins: Vec<f64>,
@@ -105,7 +105,7 @@ pub struct Findings {
 impl Serialize for Findings {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         json!({
-            "skin": self.skin.name, "readings": self.readings, "places": self.locations, "bins_n": self.bins,
+            "skin": self.skin.name, "readings": self.readings, "locations": self.locations, "bins_n": self.bins,
             "methods":
                 self.methods.iter().map(|(name, e)| json!({ "name": name, "evaluation": e })).collect::<Vec<_>>(),
             "bound": self.bound, "left_out": self.left_out,

@@ -1,8 +1,8 @@
-//! Where to put k sensing elements, of thousands of places where they could be.
+//! Where to put k sensing elements, of thousands of locations where they could be.
 //!
-//! Method: the forward model is pressed once at many places and read at all candidates; then greedy support vector regression,
+//! Method: the forward model is pressed once at many locations and read at all candidates; then greedy support vector regression,
 //! pivoted QR of principal components, entropy and mutual information of a Gaussian process (the thesis' chapter 2), and the
-//! Cramér–Rao bound each choose a set. All sets are judged alike: by a support vector regression on places that no method saw,
+//! Cramér–Rao bound each choose a set. All sets are judged alike: by a support vector regression on locations that no method saw,
 //! also with elements that fail. Assumptions: noise as the skin says; forces as requested. Cost: one response for each place
 //! and force; the searches take from milliseconds (bound) to minutes (greedy regression).
 
@@ -25,11 +25,11 @@ use serde_json::json;
 use crate::flat::laid_flat;
 use crate::{Families, Progress};
 
-/// Places that crlb looks at, at most.
+/// Locations that crlb looks at, at most.
 const SEEN: usize = 700;
 /// Points of the surface that the Gaussian process knows at most.
 const SITES: usize = 1600;
-/// Noise deviations that the strongest channel reads, in the median over the places, under the force that is taken where none
+/// Noise deviations that the strongest channel reads, in the median over the locations, under the force that is taken where none
 /// is given.
 const CLEAR: f64 = 300.0;
 /// Of the distances between points of the surface: how far the centre of those around may lie off a candidate.
@@ -54,13 +54,14 @@ pub struct Request {
     /// Diameter of the tip [m].
     #[arg(long, default_value_t = Request::default().diameter)]
     pub diameter: f64,
-    /// Places that are pressed at most.
-    #[arg(long, default_value_t = Request::default().places)]
-    pub places: usize,
-    /// Share of the places that no method sees, and that all are judged on.
+    /// Locations that are pressed at most.
+    #[serde(alias = "places")]
+    #[arg(long, alias = "places", default_value_t = Request::default().locations)]
+    pub locations: usize,
+    /// Share of the locations that no method sees, and that all are judged on.
     #[arg(long, default_value_t = Request::default().held_out)]
     pub held_out: f64,
-    /// Places that greedy-svr cross-validates with at most, and pca-qr takes its components from.
+    /// Locations that greedy-svr cross-validates with at most, and pca-qr takes its components from.
     #[arg(long, default_value_t = Request::default().searched)]
     pub searched: usize,
     /// Distance from where the skin is held [m] below which nothing is placed or pressed.
@@ -75,10 +76,10 @@ pub struct Request {
     /// Share of the variance of all candidates' readings that those of them may leave unexplained which greedy-svr tries.
     #[arg(long, default_value_t = Request::default().unexplained)]
     pub unexplained: f64,
-    /// Noises and divisions of the places that the judgement is repeated with.
+    /// Noises and divisions of the locations that the judgement is repeated with.
     #[arg(long, default_value_t = Request::default().repeats, value_parser = clap::value_parser!(u64).range(1..=10))]
     pub repeats: u64,
-    /// Draws places, noise and folds.
+    /// Draws locations, noise and folds.
     #[arg(long, default_value_t = Request::default().seed)]
     pub seed: u64,
 }
@@ -91,7 +92,7 @@ impl Default for Request {
             budget: 10,
             force: Vec::new(),
             diameter: 0.01,
-            places: 1200,
+            locations: 1200,
             held_out: 0.25,
             searched: 300,
             margin: 0.02,
@@ -154,7 +155,7 @@ pub struct Choice {
     pub outwardness: f64,
     /// \[m\] mean distance of the elements from the rim of the skin laid flat.
     pub rim: f64,
-    /// Errors at places that no method saw.
+    /// Errors at locations that no method saw.
     pub judgement: Judgement,
 }
 
@@ -181,9 +182,9 @@ pub struct Findings {
     pub skin: SkinDescription,
     /// Its surface.
     pub surface: Surface,
-    /// Places of all candidates on the surface, and whether they can be built.
+    /// Locations of all candidates on the surface, and whether they can be built.
     pub feet: Vec<(Point3<f64>, Verdict)>,
-    /// Places of those that can, in the order of every index.
+    /// Locations of those that can, in the order of every index.
     pub candidate_locations: Vec<Point3<f64>>,
     /// How many candidates there are.
     pub counts: Counts,
@@ -191,7 +192,7 @@ pub struct Findings {
     pub reduction: Reduction,
     /// \[N\] that the skin was pressed with.
     pub forces: Vec<f64>,
-    /// Places that methods saw, and that they were judged at.
+    /// Locations that methods saw, and that they were judged at.
     pub locations: [usize; 2],
     /// One for each method.
     pub choices: Vec<Choice>,
@@ -216,7 +217,7 @@ fn summary(findings: &Findings) -> serde_json::Value {
         "diameter_m": options.diameter,
         "candidates": findings.counts,
         "unexplained": findings.reduction.unexplained,
-        "places": { "seen": findings.locations[0], "held_out": findings.locations[1], "searched": options.searched },
+        "locations": { "seen": findings.locations[0], "held_out": findings.locations[1], "searched": options.searched },
         "rim_of_candidates": rim(&findings.skin, &findings.surface, &findings.candidate_locations),
         "methods": findings.choices,
         "interrupted": findings.interrupted,
@@ -258,8 +259,10 @@ fn check(options: &Request) -> Result<()> {
             );
         }
     }
-    if options.places < 40 || options.searched < 20 {
-        bail!("`--places` must be at least 40 and `--searched` 20: with fewer nothing can be learnt of them");
+    if options.locations < 40 || options.searched < 20 {
+        bail!(
+            "`--locations` must be at least 40 and `--searched` 20: with fewer nothing can be learnt of them"
+        );
     }
     Ok(())
 }
@@ -424,13 +427,13 @@ fn choose(
     Ok(())
 }
 
-/// Places to press: points of the surface away from its supports, as many as are requested.
+/// Locations to press: points of the surface away from its supports, as many as are requested.
 fn pressed(surface: &Surface, rule: &Feasibility, options: &Request) -> Vec<Location> {
     let verdicts = feasible(surface, &surface.points, rule);
     let free: Vec<usize> = (0..surface.points.len()).filter(|i| verdicts[*i] == Verdict::Feasible).collect();
     // At random, so that no pattern of the triangulation shows.
     let mut order = dermis_regress::shuffled(free.len(), options.seed);
-    order.truncate(options.places);
+    order.truncate(options.locations);
     order.sort_unstable();
     order
         .into_iter()
@@ -465,7 +468,7 @@ fn forces(
     clear.sort_by(f64::total_cmp);
     let median = clear.get(clear.len() / 2).copied().unwrap_or_default();
     if !(median.is_finite() && median > 0.0) {
-        bail!("the skin as it is feels nothing of 1 N in most places: give a force with `--force`");
+        bail!("the skin as it is feels nothing of 1 N in most locations: give a force with `--force`");
     }
     // Two digits say enough, and are written as such.
     let force = format!("{:.1e}", CLEAR / median);

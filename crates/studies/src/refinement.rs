@@ -1,14 +1,14 @@
 //! Has a bundle's answers refined on the skin's forward model, where recordings show that this helps; with `correct` on that
 //! model as recorded presses correct it.
 //!
-//! Gains, correction and evidence are learned from the training part of the recordings. Half of the held-out places choose
+//! Gains, correction and evidence are learned from the training part of the recordings. Half of the held-out locations choose
 //! whether refinement is on, the other half is reported, so that the choice does not flatter the report.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use anyhow::{Context, Result, anyhow, bail};
+use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
 use dermis_estimate::settings_without_bundle;
 use dermis_inference::{Bundle, BundleWriter, CorrectionSection, Manifest, TrainingSection};
@@ -48,13 +48,13 @@ pub struct Request {
     /// What is looked for in each contact.
     #[arg(long, value_enum, default_value_t = Request::default().unknowns)]
     pub unknowns: UnknownsChoice,
-    /// How likely forces are before a reading; `log` for skins with places where nothing gives way.
+    /// How likely forces are before a reading; `log` for skins with locations where nothing gives way.
     #[arg(long, value_enum, default_value_t = Request::default().force_prior)]
     pub force_prior: ForcePriorChoice,
     /// Distance [m] that contacts are apart at least, where there are several.
     #[arg(long, default_value_t = Request::default().distance)]
     pub distance: f64,
-    /// How several contacts are looked for: one after the other, or the first two among all pairs of places, for skins whose elements
+    /// How several contacts are looked for: one after the other, or the first two among all pairs of locations, for skins whose elements
     /// are few and feel half of the surface each; or near what is known already, for skins whose elements tell every place from every other.
     #[arg(long, value_enum, default_value_t = Request::default().search)]
     pub search: SearchChoice,
@@ -120,7 +120,7 @@ pub enum ForcePriorChoice {
 pub enum SearchChoice {
     /// One after the other.
     Greedy,
-    /// The first two among all pairs of places.
+    /// The first two among all pairs of locations.
     Pairs,
     /// Near those of the frame before, or what the model says, as long as that explains the readings.
     Near,
@@ -155,7 +155,7 @@ impl From<UnknownsChoice> for Unknowns {
     }
 }
 
-/// Measures gains on the training part, compares with and without on half of the places that were held out, and reports on
+/// Measures gains on the training part, compares with and without on half of the locations that were held out, and reports on
 /// the other half.
 ///
 /// # Errors
@@ -179,7 +179,7 @@ pub fn refine_bundle(options: &Request, families: &Families, bar: &dyn Progress)
     let split = split_of(&options.model)?.apply(&data)?;
     let (choosing, reporting) = halves(&data, &split.test);
     if choosing.is_empty() || reporting.is_empty() {
-        bail!("fewer than two places are held out: record more, or hold out a larger share");
+        bail!("fewer than two locations are held out: record more, or hold out a larger share");
     }
     let mut done = Done::of(&options.model, key(options, &bundle, &data));
     if done.refinement.is_none() {
@@ -271,8 +271,9 @@ impl Serialize for Findings {
     }
 }
 
-/// Where what is done is kept in the bundle until all is.
-const DONE: &str = "refinement.partial.json";
+use partial::{DONE, Done, interrupted, key};
+
+mod partial;
 
 /// Makes a bundle that finds contacts on the skin's forward model alone, as a node does it that has none, and holds out what a trained one would.
 fn make_without_network(
@@ -304,71 +305,6 @@ fn check_kind(bundle: &Bundle, invert: bool) -> Result<()> {
         _ => return Ok(()),
     };
     bail!("model bundle {}: {what}; {how}", bundle.path().display())
-}
-
-/// What is done of a refinement, so that an interruption costs one step at most.
-#[derive(Serialize, Deserialize)]
-struct Done {
-    /// Of what: another command does not go on with it.
-    key: serde_json::Value,
-    #[serde(skip)]
-    path: PathBuf,
-    refinement: Option<Refinement>,
-    /// Of the half that is chosen by, and of that which is reported.
-    without: Option<[Evaluation; 2]>,
-    with: Option<[Evaluation; 2]>,
-}
-
-impl Done {
-    /// What was kept of the same; nothing where it was of another kind, or cannot be read.
-    fn of(bundle: &Path, key: serde_json::Value) -> Self {
-        let path = bundle.join(DONE);
-        let kept = dermis_io::read_text(&path, dermis_io::REPORT).ok();
-        let kept: Option<Self> = kept.and_then(|text| serde_json::from_str(&text).ok());
-        match kept {
-            Some(kept) if kept.key == key => Self { path, ..kept },
-            _ => Self { key, path, refinement: None, without: None, with: None },
-        }
-    }
-
-    fn keep(&self) -> Result<()> {
-        let written = || format!("{} cannot be written", self.path.display());
-        let folder = self.path.parent().unwrap_or(Path::new("."));
-        let scratch = tempfile::NamedTempFile::new_in(folder).with_context(written)?;
-        std::fs::write(scratch.path(), serde_json::to_string(self)?).with_context(written)?;
-        scratch.persist(&self.path).with_context(written)?;
-        Ok(())
-    }
-
-    fn forget(&self) -> Result<()> {
-        std::fs::remove_file(&self.path).with_context(|| format!("{} cannot be removed", self.path.display()))
-    }
-}
-
-fn interrupted(done: &Done) -> anyhow::Error {
-    anyhow!(
-        "interrupted; what was done is kept in {}: the same command goes on from there",
-        done.path.display()
-    )
-}
-
-/// What a refinement depends on.
-fn key(options: &Request, bundle: &Bundle, data: &Dataset) -> serde_json::Value {
-    let manifest = bundle.manifest();
-    json!({
-        "version": env!("CARGO_PKG_VERSION"),
-        "skin": manifest.skin.hash,
-        "model": manifest.model.as_ref().map(|model| &model.hash),
-        "data": data.hash(),
-        "labels": format!("{:?}", options.labels),
-        "contacts": options.contacts,
-        "unknowns": format!("{:?}", options.unknowns),
-        "invert": options.invert,
-        "force_prior": format!("{:?}", options.force_prior),
-        "search": format!("{:?}", options.search),
-        "distance": options.distance,
-        "correct": options.correct,
-    })
 }
 
 /// What recordings tell of the forward model.
@@ -405,7 +341,7 @@ const PRESSES: usize = 12_000;
 /// Sums of recorded contacts, of each number, on which the evidence for one contact more is chosen.
 const SUMS: usize = 60;
 
-/// Gains, correction and evidence, from the training part alone: four of five of its places to learn from, the fifth to choose
+/// Gains, correction and evidence, from the training part alone: four of five of its locations to learn from, the fifth to choose
 /// by. What recordings do not tell is as in `unmeasured`, or as `options` say. `None` where it was interrupted.
 fn prepare(
     options: &Request,
@@ -451,7 +387,7 @@ fn prepare(
         let recorded = Recorded::of(data, &learn, 0.0, PRESSES)?;
         if recorded.is_empty() || chosen.is_empty() {
             bail!(
-                "the bags hold no single contacts of known place, force and tip at five places or more to learn from"
+                "the bags hold no single contacts of known place, force and tip at five locations or more to learn from"
             );
         }
         bar.begin("what the forward model does not know");
@@ -463,7 +399,7 @@ fn prepare(
         model = Arc::new(Corrected::new(model, learned.correction.clone())?);
         settings = refine::settings(model.as_ref(), data, &choose, unknowns, contacts)?;
         set(&mut settings);
-        // They are in the correction; measured once more on a few places they would only add noise.
+        // They are in the correction; measured once more on a few locations they would only add noise.
         settings.gains.clear();
         correction = Some((learned, data.hash()));
     }
@@ -561,57 +497,4 @@ fn amend_card(bundle: &Path, record: &serde_json::Value) -> Result<()> {
 }
 
 #[cfg(test)]
-mod tests {
-    use dermis_learn::{MapErrors, MapPart, Scores};
-
-    use super::*;
-
-    fn evaluation(position: Option<f64>, map: Option<f64>) -> Evaluation {
-        let mut evaluation = Evaluation::of(&Scores::default(), "held out", 10, 0, 0);
-        let bin = |from, rms| Bin { from, to: None, samples: 5, rms, mean: rms, median: None };
-        if let Some(rms) = position {
-            evaluation.by_force.insert("position".into(), vec![bin(0.02, 100.0 * rms), bin(0.4, rms)]);
-        }
-        if let Some(rms) = map {
-            let touched = MapPart { frames: 5, rms: Some(rms), ..MapPart::default() };
-            let errors = MapErrors { unit: "N".into(), touched, ..MapErrors::default() };
-            evaluation.maps.insert("map.normal".into(), errors);
-        }
-        evaluation
-    }
-
-    #[test]
-    fn what_gives_maps_alone_is_judged_by_its_maps() {
-        let of = |with, without| ratio(&with, &without);
-        let half = of(evaluation(None, Some(0.01)), evaluation(None, Some(0.02)));
-        approx::assert_relative_eq!(half.unwrap(), 0.5, max_relative = 1e-12);
-        // Places come first, and light contacts do not count.
-        let twice = of(evaluation(Some(0.002), Some(0.01)), evaluation(Some(0.001), Some(0.02)));
-        approx::assert_relative_eq!(twice.unwrap(), 2.0, max_relative = 1e-12);
-        assert_eq!(of(evaluation(Some(0.002), None), evaluation(None, Some(0.02))), None);
-        assert_eq!(of(evaluation(None, None), evaluation(None, None)), None);
-    }
-
-    #[test]
-    fn what_is_done_is_gone_on_with_by_the_same_command_alone() {
-        let folder = tempfile::tempdir().unwrap();
-        let bundle = folder.path();
-        let mut done = Done::of(bundle, json!({ "data": "one" }));
-        let settings = Settings::new(0.004, 2.0);
-        done.refinement = Some(Refinement { settings: settings.clone(), correction: None });
-        done.keep().unwrap();
-        let again = Done::of(bundle, json!({ "data": "one" }));
-        assert_eq!(again.refinement.map(|r| r.settings), Some(settings));
-        assert!(again.without.is_none() && again.path == bundle.join(DONE));
-        assert!(Done::of(bundle, json!({ "data": "another" })).refinement.is_none());
-        // What was cut off half way says nothing.
-        std::fs::write(bundle.join(DONE), "{").unwrap();
-        let fresh = Done::of(bundle, json!({ "data": "one" }));
-        assert!(fresh.refinement.is_none());
-        let message = interrupted(&fresh).to_string();
-        assert!(message.starts_with("interrupted") && message.ends_with("goes on from there"), "{message}");
-        fresh.keep().unwrap();
-        fresh.forget().unwrap();
-        assert!(!bundle.join(DONE).exists());
-    }
-}
+mod tests;

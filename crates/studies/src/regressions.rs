@@ -142,7 +142,7 @@ pub(crate) fn tuned(
         Ok((settings.fit(inputs, targets)?, json!({ "settings": settings, "error": error })))
     };
     // Metres and newtons are scaled for themselves: outputs of one fit share a scale.
-    let (place, of_place) = fitted(Rows::new(&some.positions, 3, "places")?)?;
+    let (place, of_place) = fitted(Rows::new(&some.positions, 3, "locations")?)?;
     let (force, of_force) = fitted(Rows::new(&some.forces, some.components, "forces")?)?;
     let settings = json!({ "learned": some.len(), "position": of_place, "force": of_force });
     let regress = move |row: &[f64]| {

@@ -104,7 +104,7 @@ pub struct Plan {
     pub gravity: Option<[f64; 3]>,
     /// \[m\] that contacts keep from the rim of the surface.
     pub margin: f64,
-    /// \[m\] two corners of a box in the link frame that places are drawn from; all of the surface where absent.
+    /// \[m\] two corners of a box in the link frame that locations are drawn from; all of the surface where absent.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub region: Option<[[f64; 3]; 2]>,
     /// How forces and depths are drawn from their ranges.
@@ -218,7 +218,7 @@ impl Plan {
         }
     }
 
-    /// What shows a skin: presses at random places, with the tip and the forces that it is [rated](dermis_skin::Rated) for, after
+    /// What shows a skin: presses at random locations, with the tip and the forces that it is [rated](dermis_skin::Rated) for, after
     /// some seconds in which nothing touches and a node finds its zero.
     #[must_use]
     pub fn rated_presses(skin: &SkinDescription) -> Self {

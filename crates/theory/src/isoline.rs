@@ -30,7 +30,7 @@ pub struct Isoline {
     pub channel: usize,
     /// S, in the unit of the skin.
     pub value: f64,
-    /// At the places where some force up to the largest tabulated gives the value.
+    /// At the locations where some force up to the largest tabulated gives the value.
     pub points: Vec<IsolinePoint>,
 }
 

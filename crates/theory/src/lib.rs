@@ -6,11 +6,11 @@
 //!   [`over_surface`] does so for one contact at every point of a skin, and [`two_contacts`] for two that come ever closer.
 //!   The bounds are local and take the model for true: a floor below every estimator without bias, and no forecast;
 //! - taxel value isolines (H. Sun, *Machine Learning for Haptics*, 2023, chapter 5): [`Responses`] hold what channels read
-//!   over places and forces, of a model or of a recording; an [`Isoline`] is the force that it takes, at every place, for a
+//!   over locations and forces, of a model or of a recording; an [`Isoline`] is the force that it takes, at every place, for a
 //!   channel to read one value; a [`Line`] crosses those of the taxels along a [`Path`], and its [`LineStudy`] is all that
 //!   follows. [`IsolineSolver`] finds contacts by such crossings.
 //!
-//! [`placement`] chooses where sensing elements go, of thousands of places where they could. [`normalised`] is the setting of two ideal taxels in which the thesis explains it. Nothing here knows a sensor by name,
+//! [`placement`] chooses where sensing elements go, of thousands of locations where they could. [`normalised`] is the setting of two ideal taxels in which the thesis explains it. Nothing here knows a sensor by name,
 //! and distances are those along the surface, be it flat or curved.
 
 mod bound;

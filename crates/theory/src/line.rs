@@ -3,7 +3,7 @@
 //! Problem: how far may a contact on a line be off where every channel reads its value within one deviation of its noise? Method:
 //! intersection of the bands around isolines (thesis chapter 5, equations 5.7 to 5.10), exactly by their corners, and to first order
 //! by their slopes (5.14). Assumptions: one contact, on the line, that presses along the normal; isolines are straight between the
-//! places of the line. Cost: a crossing searches outwards from a place, some tens of table reads; all pairs of channels at one place go
+//! locations of the line. Cost: a crossing searches outwards from a place, some tens of table reads; all pairs of channels at one place go
 //! with the square of their number.
 
 use dermis_skin::Surface;
@@ -45,12 +45,12 @@ pub(crate) struct Crossing {
 }
 
 impl Line {
-    /// The line of `responses` at the places of `path`. `feet` are the points of the surface that lie above each channel's
+    /// The line of `responses` at the locations of `path`. `feet` are the points of the surface that lie above each channel's
     /// taxel; those further than `tolerance` \[m\] from the path are not on the line.
     ///
     /// # Errors
     ///
-    /// [`TheoryError::Line`] where fewer than two taxels are on it, or the places are not those of the path.
+    /// [`TheoryError::Line`] where fewer than two taxels are on it, or the locations are not those of the path.
     pub fn new(
         responses: Responses,
         path: &Path,
@@ -77,7 +77,7 @@ impl Line {
         Ok(Self { responses, arc: path.arc.clone(), around: path.around, taxels })
     }
 
-    /// Readings at the places of the line.
+    /// Readings at the locations of the line.
     #[must_use]
     pub fn responses(&self) -> &Responses {
         &self.responses
@@ -135,7 +135,7 @@ impl Line {
         }
     }
 
-    /// Places before and after one, itself at an end, and how far \[m\] they are apart.
+    /// Locations before and after one, itself at an end, and how far \[m\] they are apart.
     pub(crate) fn neighbours(&self, location: usize) -> ([usize; 2], f64) {
         let here = (location, self.arc[location]);
         let before = self.at(location as isize - 1).unwrap_or(here);
@@ -181,7 +181,7 @@ impl Line {
         Some((first - second, first))
     }
 
-    /// Where the isolines of two channels' values cross, nearest to a place and within `bounds` (numbers of places, both
+    /// Where the isolines of two channels' values cross, nearest to a place and within `bounds` (numbers of locations, both
     /// included).
     pub(crate) fn crossing(
         &self,
@@ -222,7 +222,7 @@ impl Line {
         }
     }
 
-    /// Numbers of all places around one: half of a closed line to either side.
+    /// Numbers of all locations around one: half of a closed line to either side.
     fn all(&self, location: usize) -> [isize; 2] {
         let (count, location) = (self.arc.len() as isize, location as isize);
         if self.around.is_some() { [location - count / 2, location + count / 2] } else { [0, count - 1] }

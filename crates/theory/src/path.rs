@@ -9,10 +9,10 @@ use nalgebra::{Point3, Vector3};
 use crate::TheoryError;
 use crate::surface::positive;
 
-/// Places that a path has at most.
+/// Locations that a path has at most.
 const MOST: usize = 100_000;
 
-/// The straightest line across a surface, as places at equal steps.
+/// The straightest line across a surface, as locations at equal steps.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Path {
     /// \[m\] on the surface.
@@ -41,7 +41,7 @@ impl Path {
     ) -> Result<Self, TheoryError> {
         let (points, closed) = Self::locations(surface, through, direction, step)?;
         let normals = points.iter().map(|p| surface.project(p).1).collect();
-        // On a mesh the shortest way over its edges would be many times a step; places that follow each other lie straight ahead.
+        // On a mesh the shortest way over its edges would be many times a step; locations that follow each other lie straight ahead.
         let exact = surface.has_closed_form();
         let apart =
             |a: &Point3<f64>, b: &Point3<f64>| if exact { surface.geodesic(a, b) } else { (b - a).norm() };
@@ -60,7 +60,7 @@ impl Path {
         Ok(Self { points, normals, arc, around })
     }
 
-    /// The places of a path, and whether it comes back to where it began.
+    /// The locations of a path, and whether it comes back to where it began.
     pub(crate) fn locations(
         surface: &Surface,
         through: &Point3<f64>,
@@ -123,7 +123,7 @@ pub(crate) fn distinct(points: &[Point3<f64>]) -> (Vec<Point3<f64>>, Vec<usize>)
     (found, of)
 }
 
-/// Places ahead of a start, and whether they come back to it.
+/// Locations ahead of a start, and whether they come back to it.
 fn straight_ahead(
     surface: &Surface,
     start: Point3<f64>,

@@ -1,4 +1,4 @@
-//! What the channels of a skin read over places and forces: of a forward model, or of a recording.
+//! What the channels of a skin read over locations and forces: of a forward model, or of a recording.
 //!
 //! Readings here are signals: the zero of a recording is subtracted, and so are a model's own untouched readings. They are oriented:
 //! a channel that a force changes most downwards (a foam whose voltage falls, a gauge that is compressed) counts with its sign turned
@@ -32,7 +32,7 @@ pub struct Press {
     pub readings: Vec<f64>,
 }
 
-/// Readings at places of a surface over ascending forces that begin at 0. What is not known is NaN.
+/// Readings at locations of a surface over ascending forces that begin at 0. What is not known is NaN.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Responses {
     points: Vec<Point3<f64>>,
@@ -67,7 +67,7 @@ impl Bracket {
 }
 
 impl Responses {
-    /// What a model reads for a tip of `diameter` \[m\] that presses along the normal, at places of its surface.
+    /// What a model reads for a tip of `diameter` \[m\] that presses along the normal, at locations of its surface.
     ///
     /// # Errors
     ///
@@ -103,7 +103,7 @@ impl Responses {
     }
 
     /// What a recording says: at every place and force a local regression of the presses within `reach` \[m\] and one step
-    /// of force, quadratic in the place and linear in the force, so that noise averages out and presses at other places than
+    /// of force, quadratic in the place and linear in the force, so that noise averages out and presses at other locations than
     /// these do no harm. `noise` is that of the channels, in the unit of the skin.
     ///
     /// # Errors
@@ -207,7 +207,7 @@ impl Responses {
         self.orientation[channel]
     }
 
-    /// \[m\] places.
+    /// \[m\] locations.
     #[must_use]
     pub fn points(&self) -> &[Point3<f64>] {
         &self.points

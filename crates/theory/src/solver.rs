@@ -16,7 +16,7 @@ const FORCES: usize = 40;
 pub struct SolverOptions {
     /// \[N\] largest force that is tabulated; a contact that presses harder is not found.
     pub force_max: f64,
-    /// \[m\] between tabulated places; between them isolines are straight.
+    /// \[m\] between tabulated locations; between them isolines are straight.
     pub step: f64,
     /// \[m\] diameter of the tip, where the table is that of a model.
     pub diameter: f64,
@@ -41,7 +41,7 @@ pub enum Averaging {
 }
 
 impl SolverOptions {
-    /// For taxels in a row: places 0.1 mm apart.
+    /// For taxels in a row: locations 0.1 mm apart.
     #[must_use]
     pub fn line() -> Self {
         Self {
@@ -54,7 +54,7 @@ impl SolverOptions {
         }
     }
 
-    /// For a surface: places 0.5 mm apart.
+    /// For a surface: locations 0.5 mm apart.
     #[must_use]
     pub fn surface() -> Self {
         Self { step: 5e-4, reach: 1.5e-3, ..Self::line() }

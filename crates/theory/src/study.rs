@@ -2,7 +2,7 @@
 //!
 //! Problem: how exactly can the taxels of a row locate a contact, by force and by place? Method: isolines of each taxel with their fits
 //! (5.16), deviations from fits, from exact corners and as Cramér–Rao bound, and the super-resolution factors that follow from their
-//! means (5.20, 5.21). Assumptions: those of [`Line`] and of [`Isoline`]. Cost: linear in channels, places and forces, but for the
+//! means (5.20, 5.21). Assumptions: those of [`Line`] and of [`Isoline`]. Cost: linear in channels, locations and forces, but for the
 //! maps, which overlap the bands of all pairs of channels: hence [`MOST_STUDIED`] and [`MOST_BANDS`].
 
 use std::collections::BTreeSet;
@@ -39,7 +39,7 @@ pub struct StudyOptions {
     pub forces: Vec<f64>,
     /// \[N\] forces of the maps over place and force, ascending.
     pub map_forces: Vec<f64>,
-    /// \[m\] between the places that are averaged over and drawn.
+    /// \[m\] between the locations that are averaged over and drawn.
     pub step: f64,
     /// Precision with which an error would be measured.
     pub testbed: Testbed,
@@ -110,7 +110,7 @@ pub struct ByForce {
 /// Everything that a line says.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct LineStudy {
-    /// \[m\] places along the line.
+    /// \[m\] locations along the line.
     pub arc: Vec<f64>,
     /// \[m\] from the first taxel to the last, or all around a ring.
     pub span: f64,
@@ -281,7 +281,7 @@ impl Line {
         channels.retain(|c| by_clarity.contains(c));
     }
 
-    /// Places about `step` \[m\] apart.
+    /// Locations about `step` \[m\] apart.
     fn locations(&self, step: f64) -> Vec<usize> {
         let last = self.arc().len() - 1;
         let every = ((step / (self.arc()[last] / last as f64)).round() as usize).max(1);

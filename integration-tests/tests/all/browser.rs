@@ -240,7 +240,7 @@ fn the_page_of_a_placement_looks_right() {
         "crlb",
         "--method",
         "pca-qr",
-        "--places",
+        "--locations",
         "60",
         "--searched",
         "30",

@@ -210,7 +210,7 @@ fn what_cannot_be_is_refused_before_anything_is_written() {
     );
 
     let plans = [
-        (r#"steps = [{ kind = "places", at = [[0.02, 0.0, 0.0]], forces = [0.1] }]"#, "steps[0].at[0]"),
+        (r#"steps = [{ kind = "locations", at = [[0.02, 0.0, 0.0]], forces = [0.1] }]"#, "steps[0].at[0]"),
         (r#"steps = [{ kind = "presses", count = 1, depth = [0.02, 0.02] }]"#, "steps[0].depth"),
         (r#"steps = [{ kind = "grid", pitch = 0.01, depths = [0.001, 0.02] }]"#, "steps[0].depths"),
         (r#"steps = [{ kind = "grid", pitch = 1e-6, forces = [0.1] }]"#, "steps[0].pitch"),

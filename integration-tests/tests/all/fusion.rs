@@ -150,7 +150,7 @@ fn a_press_on_a_moving_hand_is_detected_where_it_is() {
     let deadline = Instant::now() + PATIENCE;
     let mut found = loop {
         let found = distances(&body.lock().unwrap(), &truth.lock().unwrap());
-        // Several presses, which are at several places.
+        // Several presses, which are at several locations.
         if found.len() >= 100 {
             break found;
         }
@@ -264,7 +264,7 @@ struct Press {
     identities: Vec<u32>,
 }
 
-/// Presses of the palm, distinguished by their places.
+/// Presses of the palm, distinguished by their locations.
 fn presses(body: &[BodyContacts], truth: &[Indentation]) -> Vec<Press> {
     let mut all: Vec<(Point3<f64>, Press)> = Vec::new();
     let link_from_skin = Isometry3::from_parts(

@@ -204,7 +204,7 @@ fn untouched(array: &ContactArray) -> bool {
     array.status == ContactArray::STATUS_OK && array.contacts.is_empty()
 }
 
-/// A simulated limb on this line, pressed in two places over and over: both are found, and the maps say the same.
+/// A simulated limb on this line, pressed in two locations over and over: both are found, and the maps say the same.
 fn pressed_and_found(protocol: &str, rate: f64) {
     let mut operator = Operator::new();
     let skin = wired(operator.folder.path(), protocol, rate);
@@ -218,7 +218,7 @@ fn pressed_and_found(protocol: &str, rate: f64) {
             "schema = \"dermis-plan/1\"\nname = \"two\"\nseed = 1\ndiameter = {TIP}\n[timing]\napproach = [0.1, 0.1]\n\
              load = [0.3, 0.3]\nhold = [1.5, 1.5]\nunload = [0.3, 0.3]\ngap = [1.0, 1.0]\n\
              [[steps]]\nkind = \"idle\"\nduration = 8.0\n\
-             [[steps]]\nkind = \"places\"\nat = [{}]\nforces = [{FORCE:?}]\n",
+             [[steps]]\nkind = \"locations\"\nat = [{}]\nforces = [{FORCE:?}]\n",
             at.join(", ")
         ),
     )
@@ -298,7 +298,7 @@ fn a_limb_that_sends_lines_of_counts_ten_times_a_second() {
 const PRESS: u8 = 1;
 /// g1 is at the upper end of its range.
 const FAILED: u8 = 2;
-/// Presses the shin in two places.
+/// Presses the shin in two locations.
 const TWO: u8 = 4;
 
 /// The model of the shin, made once.
@@ -317,7 +317,7 @@ fn both() -> [Point3<f64>; 2] {
     [place(model().surface(), 0.03, 0.005).0, place(model().surface(), -0.04, -0.02).0]
 }
 
-/// Presses of [`FORCE`] in these places.
+/// Presses of [`FORCE`] in these locations.
 fn presses(locations: &[Point3<f64>]) -> Vec<Indentation> {
     let press = |at: &Point3<f64>| {
         let (position, normal) = model().surface().project(at);
@@ -559,10 +559,10 @@ fn two_contacts_on_a_limb_that_is_not_as_designed() {
         let near = surface.points.iter().zip(values).filter(|(p, _)| (*p - place).norm() < reach);
         near.map(|(_, v)| *v).fold(0.0, f32::max)
     };
-    operator.hears(&forces, "forces in both places", |map| {
+    operator.hears(&forces, "forces in both locations", |map| {
         both().iter().all(|place| under(place, &map.forces, 0.008) > 0.5)
     });
-    operator.hears(&displacements, "that both places give way", |map| {
+    operator.hears(&displacements, "that both locations give way", |map| {
         both().iter().all(|place| under(place, &map.displacements, 0.004) > 3e-4)
     });
     limb.becomes(0);
@@ -582,7 +582,7 @@ fn two_contacts_a_thousand_times_a_second_are_looked_for_in_the_newest_frame() {
              load = [0.3, 0.3]\nhold = [3.0, 3.0]\nunload = [0.3, 0.3]\ngap = [1.0, 1.0]\n\
              [[steps]]\nkind = \"idle\"\nduration = 8.0\n\
              [[steps]]\nkind = \"multi\"\ncount = 20\ncontacts = [2, 2]\ndistance = 0.05\nforce = [10.0, 30.0]\n\
-             [[steps]]\nkind = \"places\"\nat = [{}]\nforces = [{FORCE:?}]\n",
+             [[steps]]\nkind = \"locations\"\nat = [{}]\nforces = [{FORCE:?}]\n",
             at.join(", ")
         ),
     )

@@ -60,7 +60,7 @@ fn a_recording_beside_a_rig_trains_as_well_as_one_beside_our_ground_truth() {
     );
     device.expect("", SOON);
     let node = Peer::start(dermis().args(["barodome", "--skin", SKIN, "--source"]).arg(serial(&link)));
-    // Long enough for a hundred places.
+    // Long enough for a hundred locations.
     finish(
         dermis()
             .args(["record", "taxels", "ground_truth", "/tool_pose", "/wrench", "--duration", "24s", "--out"])

@@ -35,7 +35,7 @@ pub fn cases() -> Result<Vec<Case>, MechanicsError> {
     Ok(cases)
 }
 
-/// A uniform sheet of 10 kΩ, and the points of its grid at places \[m\] from its lower left corner.
+/// A uniform sheet of 10 kΩ, and the points of its grid at locations \[m\] from its lower left corner.
 fn sheet(size: [f64; 2], cells: [usize; 2], leak: f64) -> Result<(Sheet, Grid), MechanicsError> {
     let grid = Grid { size, cells };
     Ok((Sheet::new(&Design { grid, resistance: [SQUARE; 2], leak, field: None }, &[])?, grid))

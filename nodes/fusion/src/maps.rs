@@ -23,7 +23,7 @@ use crate::track::seconds;
 
 /// \[m\] between two skins that lie over each other, at most.
 const LAYER: f64 = 0.015;
-/// Cosine between the normals of two places that are one, at least.
+/// Cosine between the normals of two locations that are one, at least.
 const SAME_SIDE: f64 = 0.5;
 /// Points of a skin that are read.
 const MOST_POINTS: usize = 200_000;

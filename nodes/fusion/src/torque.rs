@@ -16,7 +16,7 @@
 //!   steady change does not count;
 //! - the square of its [deviation](TorqueSettings::deviation_share): offsets, inertias and friction that are not those of the files;
 //! - at rest, the square of its Coulomb friction, whose direction is not known there;
-//! - the covariances of the skins' forces and places through the Jacobian; of skins that measure the normal component only, friction on
+//! - the covariances of the skins' forces and locations through the Jacobian; of skins that measure the normal component only, friction on
 //!   their surface;
 //! - the time by which skins may be late, times the rate of change of what they explain.
 //!

@@ -12,7 +12,7 @@ use crate::parameters::{Parameters, StrainGauge};
 /// \[m\] of material that a gauge needs around it: hands are not more exact.
 const CLEARANCE: f64 = 1.5e-3;
 
-/// Places for a gauge under the points of the surface, and under the middles of the edges between them, wherever it lies on the
+/// Locations for a gauge under the points of the surface, and under the middles of the edges between them, wherever it lies on the
 /// shell with [`CLEARANCE`] around: along the limb, and where it fits across, too. `a` and `c` in the names of gauges stand for
 /// along and across.
 ///

@@ -43,7 +43,7 @@ fn shin() -> Result<SkinDescription, VerifyError> {
 /// How the limb that ships is touched: what it is called, and the force \[N\] along x and around it for 1 N inwards.
 const TOUCHES: [(&str, [f64; 2]); 3] =
     [("normal", [0.0, 0.0]), ("along", [0.5, 0.0]), ("around", [0.0, 0.5])];
-/// Places that are touched, all over the limb.
+/// Locations that are touched, all over the limb.
 const LOCATIONS: usize = 40;
 /// \[m\] from the clamped ends within which nothing is touched: the signals are weak there.
 const HELD: f64 = 0.012;
@@ -77,7 +77,7 @@ fn limb(shin: &SkinDescription) -> Result<Vec<Case>, VerifyError> {
         cases.push(Case::new(
             format!("shell-ccx-shin-{name}"),
             format!(
-                "the limb touched at {LOCATIONS} places by {what}: the worst of all readings by the strongest of the same \
+                "the limb touched at {LOCATIONS} locations by {what}: the worst of all readings by the strongest of the same \
                  touch, gauge {} at ({x:.1}, {y:.1}, {z:.1}) mm",
                 worst.gauge
             ),
@@ -105,7 +105,7 @@ fn unjoined() -> Case {
     Case::new(
         "shell-ccx-shin",
         format!(
-            "the limb touched at {LOCATIONS} places: nothing was compared, because the triangles of its surface do not join to \
+            "the limb touched at {LOCATIONS} locations: nothing was compared, because the triangles of its surface do not join to \
              quadrilaterals, which solids are raised on. Give the skin a surface of `type = \"panel\"`, or a mesh with two \
              triangles a cell"
         ),
@@ -138,7 +138,7 @@ fn rms(compared: &[Compared]) -> f64 {
     (sum / LOCATIONS as f64).sqrt()
 }
 
-/// Places on the limb, and the normals there.
+/// Locations on the limb, and the normals there.
 fn locations(skin: &SkinDescription) -> Vec<(Point3<f64>, Vector3<f64>)> {
     let surface = skin.surface();
     let end = surface.points.iter().fold(0.0f64, |end, p| end.max(p.x.abs())) - HELD;

@@ -1,8 +1,8 @@
 //! The barometer skins' shipped bundles beside other estimators.
 //!
 //! Problem: what do the search on the forward model and our networks gain over what others would use on the same readings? Method:
-//! `dermis compare` on the places that were held out of the bundles' training, with the network of the thesis (10 x 100, on the row
-//! 6 x 100, trained here on the same bag), regressors with settings chosen by cross-validation over places, and isolines. Assumptions: the device is as designed.
+//! `dermis compare` on the locations that were held out of the bundles' training, with the network of the thesis (10 x 100, on the row
+//! 6 x 100, trained here on the same bag), regressors with settings chosen by cross-validation over locations, and isolines. Assumptions: the device is as designed.
 //! Cost: a quarter of an hour of CPU time.
 
 use std::path::Path;

@@ -42,7 +42,7 @@ const MAPS: [[u32; 2]; 12] = [
 ];
 /// \[mm\] side of the square that every map covers.
 const SQUARE: u32 = 640;
-/// Places of each number of contacts, and random presses, in the thesis.
+/// Locations of each number of contacts, and random presses, in the thesis.
 const THESIS_LOCATIONS: u32 = 3000;
 const THESIS_RANDOM: u32 = 200_000;
 const THESIS_EPOCHS: u32 = 1024;
@@ -225,7 +225,7 @@ impl Work<'_> {
         Ok(Value::Array(rows))
     }
 
-    /// Table 4.5: reconstruction on the simulated device, at places that training has not seen.
+    /// Table 4.5: reconstruction on the simulated device, at locations that training has not seen.
     fn maps(&self) -> Result<Value> {
         let thesis = read_toml(&self.root.join(THESIS))?;
         let bags = [self.bag("random-train", None, false)?, self.bag("hex-train", None, false)?];

@@ -79,7 +79,7 @@ fn keep(path: &Path, record: &Value) -> Result<()> {
     write(path, record)
 }
 
-/// What `dermis real2sim thesis --json` prints, in the places that tables look for.
+/// What `dermis real2sim thesis --json` prints, where tables look for it.
 fn recorded(found: &Value) -> Result<Map<String, Value>> {
     let mut record = Map::new();
     for key in

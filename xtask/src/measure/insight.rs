@@ -1,7 +1,7 @@
 //! The soft thumb: contacts by inversion of its forward model.
 //!
 //! Problem: how far off are place and force of one contact on the simulated thumb, how often is the number of several right, and what can
-//! frames say at best? Method: frames of the plans that ship, at places that nothing was fitted to, answered by the node's own estimator
+//! frames say at best? Method: frames of the plans that ship, at locations that nothing was fitted to, answered by the node's own estimator
 //! with the bundle that ships, which has no network; the Cramér–Rao bound of the very same frames beside. Assumptions: the device is as designed. Cost: some minutes of CPU
 //! time on two cores.
 
@@ -21,13 +21,13 @@ const PLANS: [(&str, &str, &str); 4] = [
     (
         "evaluate",
         "benches/results/insight-accuracy.json",
-        "150 places with two presses each; the thesis has 187,358 samples at 3,800 places",
+        "150 locations with two presses each; the thesis has 187,358 samples at 3,800 locations",
     ),
-    ("fovea", "benches/results/insight-fovea.json", "60 places with two presses each"),
+    ("fovea", "benches/results/insight-fovea.json", "60 locations with two presses each"),
     (
         "large-tip",
         "benches/results/insight-large-tip.json",
-        "100 places with two presses each; widths are not estimated",
+        "100 locations with two presses each; widths are not estimated",
     ),
     (
         "contacts",
@@ -80,7 +80,7 @@ const MAPS: &str = "benches/results/insight-maps.json";
 const MAP_PLAN: &str = "launch/plans/insight-thumb-train.toml";
 const MAP_CONFIG: &str = "launch/train/insight-thumb-map.toml";
 
-/// One network for each way to spread a force (Table 6.6 of the thesis), each by itself at the same held-out places.
+/// One network for each way to spread a force (Table 6.6 of the thesis), each by itself at the same held-out locations.
 pub(super) fn maps(root: &Path) -> Result<Value> {
     execute(cargo(root).args(PROGRAM))?;
     let (dermis, dir) = (target_dir(root).join("release/dermis"), scratch(root, "insight-maps")?);
@@ -99,7 +99,7 @@ pub(super) fn maps(root: &Path) -> Result<Value> {
         let cpu = children_cpu()?;
         execute(fit.current_dir(root))?;
         let seconds = children_cpu()? - cpu;
-        // Of the network alone, at the places that were held out: a node with nothing else would have to know that something touches.
+        // Of the network alone, at the locations that were held out: a node with nothing else would have to know that something touches.
         let card = std::fs::read_to_string(model.join("card.json"))
             .with_context(|| format!("the card of {} cannot be read", model.display()))?;
         let mut of = strongest(&serde_json::from_str::<Value>(&card)?["held_out"])?;
@@ -110,7 +110,7 @@ pub(super) fn maps(root: &Path) -> Result<Value> {
     let record = json!({
         "command": "cargo xtask measure insight-maps",
         "commit": commit(root)?,
-        "reduced": "600 places, a quarter of them held out, and a dense network of 128 and 128 on 1500 numbers; the thesis has 187,358 samples at 3,800 places and a \
+        "reduced": "600 locations, a quarter of them held out, and a dense network of 128 and 128 on 1500 numbers; the thesis has 187,358 samples at 3,800 locations and a \
                     residual network on pictures of 410 x 308 pixels",
         "seed": seed(root, MAP_PLAN)?,
         "maps": found,

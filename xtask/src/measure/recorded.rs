@@ -22,7 +22,7 @@ pub(super) struct Quantity {
     figure: &'static str,
     /// Unit of the figure that is written, and how many of it are one SI unit.
     unit: (&'static str, f64),
-    /// Whether the last part of the same run is a transfer, too: forces creep with time, places do not.
+    /// Whether the last part of the same run is a transfer, too: forces creep with time, locations do not.
     same_run: bool,
 }
 

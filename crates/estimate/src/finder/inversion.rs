@@ -1,9 +1,9 @@
 //! Contacts of maximum likelihood on a forward model.
 //!
-//! Problem: places and forces of contacts whose readings, as the forward model has them, are those of a frame. Method: least
+//! Problem: locations and forces of contacts whose readings, as the forward model has them, are those of a frame. Method: least
 //! squares in units of the noise ([`Inverter`]), begun in one of several ways ([`Start`]). Each frame is taken by itself, unless the
 //! finder [follows](InversionFinder::following) contacts from frame to frame as a node does. Cost: that of the inverter, a
-//! millisecond or so for one contact, tens of them for all pairs of places; who follows pays for the frames that it passes, too.
+//! millisecond or so for one contact, tens of them for all pairs of locations; who follows pays for the frames that it passes, too.
 
 use dermis_inversion::{ContactEstimate, Inverter, InverterError, Reading, Search, Solution, SparseSettings};
 use dermis_model::{Indentation, Unknowns};
@@ -44,7 +44,7 @@ pub(crate) struct Learned<'a> {
     pub(crate) complete: bool,
 }
 
-/// The contacts that explain readings best, in the manner that a bundle asks for: among all pairs of places, from those of
+/// The contacts that explain readings best, in the manner that a bundle asks for: among all pairs of locations, from those of
 /// the frame `before` while they last, then from all that were `learned` where these are complete; near those of the frame before or what was
 /// learned; or one after the other, the first near what was `learned`.
 pub(crate) fn solve(
@@ -115,7 +115,7 @@ fn indentation(inverter: &Inverter, contact: &Contact) -> Indentation {
 pub enum Start {
     /// One contact after the other, as long as another one explains the readings better.
     Greedy,
-    /// The best of all pairs of places.
+    /// The best of all pairs of locations.
     Pairs,
     /// What another finder finds; refined together.
     Refine(Box<dyn ContactFinder>),
@@ -123,7 +123,7 @@ pub enum Start {
     /// looked for or, of one that finds [all](ContactFinder::complete), where all are; a search of all pairs does without a single one.
     /// Where nothing is found, the answer of the other stands.
     Bundle(Box<dyn ContactFinder>),
-    /// Sparse recovery on a grid of places; refined.
+    /// Sparse recovery on a grid of locations; refined.
     Sparse(SparseSettings),
     /// Sparse recovery by itself.
     SparseOnly(SparseSettings),

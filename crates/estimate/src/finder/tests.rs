@@ -40,7 +40,7 @@ fn nine_read(presses: &[([f64; 2], f64)]) -> Vec<f32> {
     signal.iter().map(|v| *v as f32).collect()
 }
 
-/// Whether these contacts are those presses, in the order of their places.
+/// Whether these contacts are those presses, in the order of their locations.
 #[track_caller]
 fn assert_are(contacts: &[Contact], presses: &[([f64; 2], f64)], metres: f64, newtons: f64) {
     let mut sorted = contacts.to_vec();

@@ -52,7 +52,7 @@ pub(crate) struct Field {
 
 const DEPTHS: usize = 7;
 const RADII: usize = 7;
-const PLACES: usize = 150;
+const LOCATIONS: usize = 150;
 
 impl Field {
     /// Tables of `layer` for depths \[m\] of the range, contact radii up to `radius` \[m\] and distances up to `reach` \[m\].
@@ -79,8 +79,8 @@ impl Field {
             depths,
             radius,
             reach,
-            normal: vec![0.0; DEPTHS * RADII * PLACES],
-            along: vec![0.0; DEPTHS * RADII * PLACES],
+            normal: vec![0.0; DEPTHS * RADII * LOCATIONS],
+            along: vec![0.0; DEPTHS * RADII * LOCATIONS],
         };
         let cell = 1.0 / (grain.period * grain.period);
         let sinc = |x: f64| if x.abs() < 1e-6 { 1.0 } else { x.sin() / x };
@@ -111,8 +111,8 @@ impl Field {
                 }
             }
         }
-        for place in 0..PLACES {
-            let x = reach * place as f64 / (PLACES - 1) as f64;
+        for place in 0..LOCATIONS {
+            let x = reach * place as f64 / (LOCATIONS - 1) as f64;
             let turns: Vec<(f64, f64)> = (0..=modes).map(|i| (i as f64 * step * x).sin_cos()).collect();
             for table in 0..DEPTHS * RADII {
                 let row = &rows[table * (modes + 1)..(table + 1) * (modes + 1)];
@@ -121,8 +121,8 @@ impl Field {
                     normal += value[0] * cos;
                     along -= value[1] * sin;
                 }
-                field.normal[table * PLACES + place] = normal;
-                field.along[table * PLACES + place] = along;
+                field.normal[table * LOCATIONS + place] = normal;
+                field.along[table * LOCATIONS + place] = along;
             }
         }
         field
@@ -141,7 +141,7 @@ impl Field {
         }
         let (d, dp) = place((depth - self.depths[0]) / (self.depths[1] - self.depths[0]), DEPTHS);
         let (r, rp) = place(a / self.radius, RADII);
-        let (x, t) = place(distance / self.reach, PLACES);
+        let (x, t) = place(distance / self.reach, LOCATIONS);
         // Catmull and Rom's cubic along the distance.
         let weights = [
             t * (t * (1.0 - 0.5 * t) - 0.5),
@@ -152,12 +152,12 @@ impl Field {
         let mut sum = (0.0, 0.0);
         for (depth, share) in [(d, 1.0 - dp), (d + 1, dp)] {
             for (radius, part) in [(r, 1.0 - rp), (r + 1, rp)] {
-                let table = (depth * RADII + radius) * PLACES;
+                let table = (depth * RADII + radius) * LOCATIONS;
                 for (i, weight) in weights.iter().enumerate() {
                     // The field is even about its middle, and that of a force along the surface is odd.
                     let (index, sign) = match (x + i).checked_sub(1) {
                         None => (1, -1.0),
-                        Some(index) => (index.min(PLACES - 1), 1.0),
+                        Some(index) => (index.min(LOCATIONS - 1), 1.0),
                     };
                     let weight = weight * share * part;
                     sum.0 += weight * self.normal[table + index];

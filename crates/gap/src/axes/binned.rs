@@ -130,9 +130,9 @@ fn listed<K: Ord + Clone>(
 
 /// Cells of the surface, about as many as `most`.
 fn cells(samples: &[Sample], most: usize) -> Option<Binned> {
-    let places: Vec<[f64; 3]> = samples.iter().filter(|r| r.contacts == 1).map(|r| r.position).collect();
+    let locations: Vec<[f64; 3]> = samples.iter().filter(|r| r.contacts == 1).map(|r| r.position).collect();
     let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
-    for p in &places {
+    for p in &locations {
         for a in 0..3 {
             low[a] = low[a].min(p[a]);
             high[a] = high[a].max(p[a]);

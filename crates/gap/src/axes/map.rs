@@ -12,7 +12,7 @@ use crate::constants::location::{BEYOND, KERNEL, KNOWN, MAPPED, POINTS};
 /// The gap over the surface.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Map {
-    /// \[m\] places, in the frame of the skin's link.
+    /// \[m\] locations, in the frame of the skin's link.
     pub points: Vec<[f64; 3]>,
     /// Mean of readings minus model over channels and contacts near each place, in the unit of the skin; `None` below the noise.
     pub mean: Vec<Option<f64>>,
@@ -36,11 +36,11 @@ pub fn map(view: &View<'_>, surface: &Surface) -> Map {
     }
     let area: f64 = surface.areas.iter().sum();
     // As wide as some eight contacts lie apart.
-    let mut places: Vec<[i64; 3]> =
+    let mut locations: Vec<[i64; 3]> =
         single.iter().map(|i| view.samples.list[*i].position.map(|v| (v * 1e5).round() as i64)).collect();
-    places.sort_unstable();
-    places.dedup();
-    let width = (area / places.len() as f64 * 4.0).sqrt().max(extent(surface) / 40.0);
+    locations.sort_unstable();
+    locations.dedup();
+    let width = (area / locations.len() as f64 * 4.0).sqrt().max(extent(surface) / 40.0);
     let each = surface.points.len().div_ceil(POINTS).max(1);
     let mut map = Map::default();
     let mut strongest: Option<(f64, usize)> = None;

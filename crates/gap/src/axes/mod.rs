@@ -2,7 +2,7 @@
 //!
 //! Problem: say which circumstance (place, force, time, temperature, ...) a residual goes with. Method: binned regression of the
 //! residual on each circumstance, scored on the other of two folds of groups, less the mean of permutations, with a bootstrap
-//! interval over groups. Assumption: groups (places) are independent. Cost: some ten passes over the residual for each axis.
+//! interval over groups. Assumption: groups (locations) are independent. Cost: some ten passes over the residual for each axis.
 
 mod binned;
 mod map;
@@ -50,7 +50,7 @@ pub struct Axis {
     /// Share of the gap on held-out contacts that a mean and a factor for each bin explain beyond those of each channel, and beyond
     /// chance; or that lies in other bins than readings do, where this is more.
     pub share: f64,
-    /// 95 % interval of it, over places.
+    /// 95 % interval of it, over locations.
     pub interval: [f64; 2],
     /// Its bins.
     pub bins: Vec<Bin>,

@@ -4,7 +4,7 @@ use rand::SeedableRng;
 use super::*;
 use crate::samples::{Sample, Samples};
 
-/// Forty places, each pressed once with eight frames, on two channels.
+/// Forty locations, each pressed once with eight frames, on two channels.
 fn samples() -> Samples {
     let mut samples = Samples { groups: 40, test: vec![false; 40], presses: 40, ..Samples::default() };
     for i in 0..320 {

@@ -12,7 +12,7 @@
 //! | law | the same by another law: its change times a smooth function of force and course of the press | whole | known |
 //! | pair | two of them | whole | known |
 //! | left-out | as right and law | without it | unknown |
-//! | shape | readings times a random field, a change of some places, a share of other channels | whole | unknown |
+//! | shape | readings times a random field, a change of some locations, a share of other channels | whole | unknown |
 //!
 //! In all of them the numbers of the medium and the tip are off within their tolerance, and the noise is one to five times what is
 //! declared. Assumptions: what an unknown cause leaves is like what a left-out effect or such a shape leaves. Cost: one simulation of all

@@ -4,7 +4,7 @@
 //! them, and an effect with many numbers, or with values that no device has, takes its place. So a name is firm only where it
 //! 1. can be switched on in a simulation,
 //! 2. needs no value that its prior makes implausible,
-//! 3. is not clearly beaten by a generic [rival](crate::rivals) on places that neither was fitted to, and
+//! 3. is not clearly beaten by a generic [rival](crate::rivals) on locations that neither was fitted to, and
 //! 4. leaves nothing that goes with the place, where it has a number for each channel: what is wrong with a channel is wrong at each
 //!    place that the channel sees, and
 //! 5. leaves what right names leave, by the [calibration](crate::unknown) on the library itself.
@@ -114,7 +114,7 @@ fn best(rivals: &[Rival]) -> Option<&Rival> {
 fn doubt(named: &NamedEffect, beaten: Option<&Rival>, place: f64, per_channel: bool) -> Option<String> {
     if let Some(rival) = beaten {
         return Some(format!(
-            "{} explains {} % more of the gap on other places",
+            "{} explains {} % more of the gap on other locations",
             rival.what,
             percent(rival.excess.unwrap_or(0.0))
         ));
@@ -160,7 +160,7 @@ mod tests {
     fn rival(excess: f64, deviations: f64) -> Rival {
         Rival {
             shape: Shape::Place,
-            what: "a change of some places".to_owned(),
+            what: "a change of some locations".to_owned(),
             explains: 0.9,
             excess: Some(excess),
             deviations: Some(deviations),

@@ -47,7 +47,7 @@ pub(super) struct Explained {
     pub left: Option<Vec<f32>>,
     /// Members of the first class that is open.
     pub members: Members,
-    /// Shapes without a cause beside the named effects, and what these leave by channels and places.
+    /// Shapes without a cause beside the named effects, and what these leave by channels and locations.
     pub rivals: Vec<Rival>,
     pub structure: Option<Structure>,
     /// What speaks for "unknown".
@@ -225,7 +225,7 @@ fn spread(
         weights
     };
     let draws: Vec<[Vec<f64>; 2]> = (0..options.resamples).map(|_| [draw(&train), draw(&kept)]).collect();
-    announce(&options.progress, "drawing other places", options.resamples);
+    announce(&options.progress, "drawing other locations", options.resamples);
     let again = |[again, ends]: &[Vec<f64>; 2]| {
         if options.stop.load(Ordering::Relaxed) {
             return None;

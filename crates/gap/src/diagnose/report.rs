@@ -53,7 +53,7 @@ pub(super) fn begin(
             frames: recording.labels.len(),
             presses: recording.contacts(),
             samples: samples.list.len(),
-            places: [samples.groups - test, test],
+            locations: [samples.groups - test, test],
             repeats: 0,
             sessions: recording.sessions.clone(),
             missing: checks::missing(recording, samples, 0),

@@ -83,7 +83,7 @@ mod tests {
                 found.set().iter().map(|c| data.signatures.candidates[*c].name.as_str()).collect();
             assert_eq!(names, ["channel-gain"]);
             let pick = &found.selection.picks[0];
-            // All of the systematic gap, which places of training hold more or less of: 4 % in a standard deviation.
+            // All of the systematic gap, which locations of training hold more or less of: 4 % in a standard deviation.
             assert!((pick.gain / data.gap.systematic - 1.0).abs() < 0.2, "{pick:?} {:?}", data.gap);
             assert_eq!(pick.class[0].candidate, pick.candidate);
             // Signatures reproduce the whitened residual: only noise, of variance 1, is left.

@@ -142,7 +142,7 @@ fn decay(
     effect
 }
 
-/// What a random effect does to each channel, said by the effects that describe channels: offsets, gains and places. Empty where they
+/// What a random effect does to each channel, said by the effects that describe channels: offsets, gains and locations. Empty where they
 /// do not hold most of it.
 fn channel_by_channel(
     data: &Data<'_>,

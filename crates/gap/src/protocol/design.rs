@@ -13,10 +13,10 @@
 //! information `½ ln(1 + T)` over all pairs in a minute (greedy; what different blocks say adds).
 //!
 //! What no hypothesis of the library explains ("unknown") has no readings that could be simulated. It is served by presses that are
-//! done again, which say whether it is systematic, at places that are spread, which say where it lies.
+//! done again, which say whether it is systematic, at locations that are spread, which say where it lies.
 //!
 //! Assumptions: changes of a rival are linear in its columns ([`Signatures`]); blocks do not influence one another. Cost: one set of
-//! signatures over the menu at all places, then small matrices.
+//! signatures over the menu at all locations, then small matrices.
 
 use std::sync::atomic::AtomicBool;
 
@@ -29,7 +29,7 @@ use super::{Block, BlockKind, Range, carried_out, menu};
 use crate::GapError;
 use crate::algebra::{dot, normal};
 use crate::constants::experiments::{SETTLED, TRUST};
-use crate::constants::protocol::{ALIKE, COLUMNS, PLACES, UNTELLABLE};
+use crate::constants::protocol::{ALIKE, COLUMNS, LOCATIONS, UNTELLABLE};
 use crate::constants::select::PRIOR;
 use crate::samples::{SampleOptions, Samples};
 use crate::signatures::Signatures;
@@ -205,7 +205,7 @@ fn separation(p: f64) -> f64 {
     (2.0 * low).powi(2)
 }
 
-/// Designs the next presses. `places` \[m\] are where the skin may be pressed, the most telling first.
+/// Designs the next presses. `locations` \[m\] are where the skin may be pressed, the most telling first.
 ///
 /// # Errors
 ///
@@ -213,13 +213,13 @@ fn separation(p: f64) -> f64 {
 pub fn design(
     simulator: &Simulator<'_>,
     hypotheses: &[Hypothesis],
-    places: &[Point3<f64>],
+    locations: &[Point3<f64>],
     options: &DesignOptions,
     stop: &AtomicBool,
     progress: &ProgressBar,
 ) -> Result<Design, GapError> {
-    let places = &places[..places.len().min(PLACES)];
-    let candidates: Vec<Block> = places.iter().flat_map(|at| menu(&options.range, *at)).collect();
+    let locations = &locations[..locations.len().min(LOCATIONS)];
+    let candidates: Vec<Block> = locations.iter().flat_map(|at| menu(&options.range, *at)).collect();
     let mut found = Design::default();
     let mut minutes = options.minutes;
     if hypotheses.len() > 1 && !candidates.is_empty() {
@@ -231,8 +231,8 @@ pub fn design(
         found.blocks = taken.into_iter().map(|block| candidates[block].clone()).collect();
         minutes -= found.minutes();
     }
-    // What is unknown: again and elsewhere, the places that have been pressed least first.
-    let mut order: Vec<&Point3<f64>> = places.iter().collect();
+    // What is unknown: again and elsewhere, the locations that have been pressed least first.
+    let mut order: Vec<&Point3<f64>> = locations.iter().collect();
     order.sort_by_key(|at| found.blocks.iter().filter(|b| b.at == **at).count());
     let served = options.unknown > 0.0;
     for (number, at) in order.into_iter().enumerate().filter(|_| served) {

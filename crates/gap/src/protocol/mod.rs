@@ -2,13 +2,13 @@
 //!
 //! A block is a few presses at one place that are compared with one another: one thing differs between them (force, speed, tip, the
 //! time held), everything else is the same. What is wrong with a simulator at a place is wrong in all presses of the block alike and
-//! cancels, so that a block says more of a cause than as many presses at as many places (paired comparison; Cox and Reid 2000, ch. 3).
+//! cancels, so that a block says more of a cause than as many presses at as many locations (paired comparison; Cox and Reid 2000, ch. 3).
 //!
-//! [`places`](self::places::places) says where to press, [`menu`] what may be done there, [`design`](self::design::design) what of it is worth the time.
+//! [`locations`](self::locations::locations) says where to press, [`menu`] what may be done there, [`design`](self::design::design) what of it is worth the time.
 
 pub mod design;
+pub mod locations;
 pub mod open;
-pub mod places;
 
 use dermis_model::{Indentation, Stimulus};
 use dermis_skin::{Phase, Surface};
@@ -167,13 +167,13 @@ pub fn menu(range: &Range, at: Point3<f64>) -> Vec<Block> {
 }
 
 /// Blocks as a recording without readings, one after another after some seconds in which nothing touches. Place numbers count the
-/// places, press numbers the presses, both from 1; `rate` \[Hz\] is that of the skin, which slow stretches do not need.
+/// locations, press numbers the presses, both from 1; `rate` \[Hz\] is that of the skin, which slow stretches do not need.
 pub(crate) fn carried_out(blocks: &[Block], surface: &Surface, channels: usize, rate: f64) -> Recording {
     let mut recording = Recording::new("presses to come", channels);
     let step = (1.0 / rate).max(0.02);
     let mut time = 0.0;
     let mut press_number = 0u64;
-    let mut places: Vec<Point3<f64>> = Vec::new();
+    let mut locations: Vec<Point3<f64>> = Vec::new();
     let mut add = |time: f64, phase: Phase, contacts: Vec<Indentation>, press: u64, location: u32| {
         let stimulus = Stimulus { contacts, ..Stimulus::default() };
         let temperature = stimulus.temperature;
@@ -187,10 +187,10 @@ pub(crate) fn carried_out(blocks: &[Block], surface: &Surface, channels: usize, 
     }
     for block in blocks {
         let (at, normal) = surface.project(&block.at);
-        let known = places.iter().position(|p| (p - at).norm() < 1e-9);
+        let known = locations.iter().position(|p| (p - at).norm() < 1e-9);
         let location = known.unwrap_or_else(|| {
-            places.push(at);
-            places.len() - 1
+            locations.push(at);
+            locations.len() - 1
         }) as u32
             + 1;
         for press in &block.presses {

@@ -10,22 +10,22 @@ use crate::statistics::Column;
 
 /// Columns of a shape; `signals` are those of the nominal model, samples × channels.
 pub(crate) fn of(shape: Shape, samples: &Samples, signals: &[f32], channels: usize) -> Made {
-    let places = Places::of(samples);
+    let locations = Locations::of(samples);
     let list = &samples.list;
     let each = |functions: &[Vec<f64>]| Made {
         columns: of_channels(signals, channels, functions),
-        places: Vec::new(),
+        locations: Vec::new(),
     };
     match shape {
-        Shape::Field => each(&smooth(&places, list)),
+        Shape::Field => each(&smooth(&locations, list)),
         Shape::ForceCurve => each(&powers(list)),
-        Shape::Mixing => Made { columns: mixing(list.len(), signals, channels), places: Vec::new() },
-        Shape::Lag => Made { columns: lag(list, signals, channels), places: Vec::new() },
-        Shape::Zero => Made { columns: zeros(samples, channels), places: Vec::new() },
+        Shape::Mixing => Made { columns: mixing(list.len(), signals, channels), locations: Vec::new() },
+        Shape::Lag => Made { columns: lag(list, signals, channels), locations: Vec::new() },
+        Shape::Zero => Made { columns: zeros(samples, channels), locations: Vec::new() },
         Shape::Place => {
-            let (functions, centres) = patches(&places, samples);
+            let (functions, centres) = patches(&locations, samples);
             let columns = functions.iter().map(|f| of_all(signals, channels, f)).collect();
-            Made { columns, places: centres }
+            Made { columns, locations: centres }
         }
     }
 }
@@ -46,14 +46,14 @@ pub(super) fn of_all(signals: &[f32], channels: usize, function: &[f64]) -> Colu
     Column { channel: None, values: signals.iter().enumerate().map(value).collect() }
 }
 
-/// Places of contact along the axes in which they differ, each from −1 to 1.
-pub(super) struct Places {
+/// Locations of contact along the axes in which they differ, each from −1 to 1.
+pub(super) struct Locations {
     middle: [f64; 3],
     half: [f64; 3],
     wide: Vec<usize>,
 }
 
-impl Places {
+impl Locations {
     pub fn of(samples: &Samples) -> Self {
         let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
         for s in samples.list.iter().filter(|s| s.position[0].is_finite()) {
@@ -81,10 +81,10 @@ fn forces(list: &[Sample]) -> Vec<f64> {
 }
 
 /// Polynomials of the place to the second degree (to the third along one axis), and those of the first times the force.
-pub(super) fn smooth(places: &Places, list: &[Sample]) -> Vec<Vec<f64>> {
-    let at: Vec<Option<Vec<f64>>> = list.iter().map(|s| places.at(s)).collect();
+pub(super) fn smooth(locations: &Locations, list: &[Sample]) -> Vec<Vec<f64>> {
+    let at: Vec<Option<Vec<f64>>> = list.iter().map(|s| locations.at(s)).collect();
     let forces = forces(list);
-    let d = places.wide.len();
+    let d = locations.wide.len();
     let mut found = vec![vec![1.0; list.len()], forces.clone()];
     let mut add = |f: &dyn Fn(&[f64], f64) -> f64| {
         let value = |(at, force): (&Option<Vec<f64>>, &f64)| at.as_ref().map_or(0.0, |x| f(x, *force));
@@ -189,19 +189,22 @@ fn zeros(samples: &Samples, channels: usize) -> Vec<Column> {
     (0..channels).flat_map(|k| hats.iter().map(move |hat| column(k, hat))).collect()
 }
 
-/// Bumps over the places of contact, and their middles \[m\]: each as wide as its middle is from the nearest other one.
-pub(super) fn patches(places: &Places, samples: &Samples) -> (Vec<Vec<f64>>, Vec<[f64; 3]>) {
-    let at: Vec<Option<Vec<f64>>> = samples.list.iter().map(|s| places.at(s)).collect();
+/// Bumps over the locations of contact, and their middles \[m\]: each as wide as its middle is from the nearest other one.
+pub(super) fn patches(locations: &Locations, samples: &Samples) -> (Vec<Vec<f64>>, Vec<[f64; 3]>) {
+    let at: Vec<Option<Vec<f64>>> = samples.list.iter().map(|s| locations.at(s)).collect();
     let known: Vec<usize> = (0..at.len()).filter(|i| at[*i].is_some()).collect();
     let count = (samples.groups / PLACES_A_PATCH).clamp(1, PATCHES);
-    let Some(&first) = known.first().filter(|_| !places.wide.is_empty()) else {
+    let Some(&first) = known.first().filter(|_| !locations.wide.is_empty()) else {
         return (Vec::new(), Vec::new());
     };
     let away = |i: usize, j: usize| -> f64 {
         let (Some(a), Some(b)) = (&at[i], &at[j]) else { return f64::INFINITY };
         // In metres, so that a patch is as wide along all axes.
-        let apart =
-            a.iter().zip(b).zip(&places.wide).map(|((a, b), axis)| ((a - b) * places.half[*axis]).powi(2));
+        let apart = a
+            .iter()
+            .zip(b)
+            .zip(&locations.wide)
+            .map(|((a, b), axis)| ((a - b) * locations.half[*axis]).powi(2));
         apart.sum::<f64>().sqrt()
     };
     // Each next middle is the place that is farthest from all others (Gonzalez 1985).

@@ -2,8 +2,8 @@
 //!
 //! Problem: an effect with a number for each channel, or one that bends with time, fits what it did not cause. Method: flexible
 //! regressions that know no cause (a factor of each channel that varies smoothly over place and force, a force curve of each channel,
-//! channels mixed by a few patterns, a reading that depends on the course of its press, a change of some places, a zero that drifts),
-//! fitted to the same residual, each scored on places that it was not fitted to. A name that is right leaves little that they find, for it has few numbers
+//! channels mixed by a few patterns, a reading that depends on the course of its press, a change of some locations, a zero that drifts),
+//! fitted to the same residual, each scored on locations that it was not fitted to. A name that is right leaves little that they find, for it has few numbers
 //! and they have many; one that is wrong is beaten by the rival whose shape its cause has (falsification of models by what a richer one
 //! predicts: Gelman and Shalizi 2013, "Philosophy and the practice of Bayesian statistics"; distortions of declared shapes as tests of
 //! misspecification: arXiv 2412.15100).
@@ -38,7 +38,7 @@ pub enum Shape {
     Mixing,
     /// A factor of each channel that depends on the course of its press.
     Lag,
-    /// A factor of all channels that differs in some places.
+    /// A factor of all channels that differs in some locations.
     Place,
     /// A drift of the zero of each channel.
     Zero,
@@ -56,7 +56,7 @@ impl Shape {
             Self::ForceCurve => "a force curve of each channel",
             Self::Mixing => "a share of all channels' readings in each",
             Self::Lag => "readings that depend on the course of each press",
-            Self::Place => "a change of some places",
+            Self::Place => "a change of some locations",
             Self::Zero => "a drift of the zero of each channel",
         }
     }
@@ -94,12 +94,12 @@ pub struct Rival {
     pub shape: Shape,
     /// What it is, with the place where it is strongest.
     pub what: String,
-    /// Share of the gap beyond the noise that it explains on places that it was not fitted to.
+    /// Share of the gap beyond the noise that it explains on locations that it was not fitted to.
     pub explains: f64,
     /// By how much that is more than the named effects leave away, in the same; `None` where none is named.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub excess: Option<f64>,
-    /// The same in standard errors over places.
+    /// The same in standard errors over locations.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub deviations: Option<f64>,
 }
@@ -212,7 +212,7 @@ impl Named<'_> {
 pub(crate) struct Remains {
     /// What is left beyond the noise.
     pub left: f64,
-    /// What each shape finds of it on places that it was not fitted to, with the shape in words.
+    /// What each shape finds of it on locations that it was not fitted to, with the shape in words.
     pub beyond: Vec<(Shape, f64, String)>,
 }
 
@@ -256,8 +256,8 @@ pub(crate) fn remains(field: &Field<'_>, before: &[f32], after: &Named<'_>) -> R
         // The discrepancy makes the best of it, and may be left out.
         let without = losses[0].min(losses[1]);
         found.left = found.left.min((without - floor) / gap);
-        let nowhere = vec![[f64::NAN; 3]; if made.places.is_empty() { 0 } else { known }];
-        let what = describe(shape, &fits[2].1, &[nowhere, made.places].concat());
+        let nowhere = vec![[f64::NAN; 3]; if made.locations.is_empty() { 0 } else { known }];
+        let what = describe(shape, &fits[2].1, &[nowhere, made.locations].concat());
         found.beyond.push((shape, (without - losses[2].min(losses[3])) / gap, what));
     }
     found
@@ -296,7 +296,7 @@ pub(crate) fn contest(field: &Field<'_>, before: &[f32], after: Option<&Named<'_
                 }
                 None => (None, None),
             };
-            let what = describe(shape, &fit, &made.places);
+            let what = describe(shape, &fit, &made.locations);
             Some(Rival { shape, what, explains, excess, deviations })
         })
         .collect();
@@ -314,9 +314,10 @@ fn advantage(first: &[f64], second: &[f64]) -> (f64, f64) {
 }
 
 /// The shape in words, with the place where it is strongest.
-fn describe(shape: Shape, fit: &Fit, places: &[[f64; 3]]) -> String {
-    let strongest = fit.terms().filter(|_| !places.is_empty()).max_by(|a, b| a.1.abs().total_cmp(&b.1.abs()));
-    match strongest.and_then(|(column, _)| places.get(column)) {
+fn describe(shape: Shape, fit: &Fit, locations: &[[f64; 3]]) -> String {
+    let strongest =
+        fit.terms().filter(|_| !locations.is_empty()).max_by(|a, b| a.1.abs().total_cmp(&b.1.abs()));
+    match strongest.and_then(|(column, _)| locations.get(column)) {
         Some(at) => {
             let [x, y, z] = at.map(|v| short(v * 1e3));
             format!("{}, most near ({x}, {y}, {z}) mm", shape.what())
@@ -325,13 +326,13 @@ fn describe(shape: Shape, fit: &Fit, places: &[[f64; 3]]) -> String {
     }
 }
 
-/// Columns of a shape, and for shapes of places the place of each column \[m\].
+/// Columns of a shape, and for shapes of locations the place of each column \[m\].
 pub(crate) struct Made {
     pub columns: Vec<Column>,
-    places: Vec<[f64; 3]>,
+    locations: Vec<[f64; 3]>,
 }
 
-/// How what named effects leave goes with channels and places.
+/// How what named effects leave goes with channels and locations.
 pub(crate) fn structure(field: &Field<'_>, before: &[f32], left: &[f32]) -> Structure {
     structure::of(field, before, left)
 }
@@ -343,7 +344,7 @@ mod tests {
     use super::*;
     use crate::samples::Sample;
 
-    /// 120 places along a row, eight samples each, three channels that see what is near.
+    /// 120 locations along a row, eight samples each, three channels that see what is near.
     fn row() -> (Samples, Vec<f32>) {
         let mut samples = crate::statistics::tests::samples(&(0..960).map(|i| i / 8).collect::<Vec<_>>());
         let mut signals = Vec::new();
@@ -406,7 +407,7 @@ mod tests {
         assert!(best(&none) <= 0.0);
         let half: Vec<f32> = soft.iter().map(|v| 0.7 * v).collect();
         assert!(best(&half) > 0.3);
-        // What is left of it lies in some places.
+        // What is left of it lies in some locations.
         let left = structure(&field, &soft, &half);
         assert!(left.local_place > 0.2 && left.local_place > 2.0 * left.channel, "{left:?}");
         let gains = residual(&samples, &signals, |_, k| 0.1 * (k as f64 + 1.0));

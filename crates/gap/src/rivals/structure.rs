@@ -1,11 +1,11 @@
-//! What is left, taken apart: by channel, smoothly over the place, in single places, and in single places of single channels.
+//! What is left, taken apart: by channel, smoothly over the place, in single locations, and in single locations of single channels.
 //!
-//! A decomposition of variance by nested regressions, each scored on places that it was not fitted to, so that a richer one gains
+//! A decomposition of variance by nested regressions, each scored on locations that it was not fitted to, so that a richer one gains
 //! nothing by its numbers alone.
 
 use serde::{Deserialize, Serialize};
 
-use super::columns::{Places, of_all, of_channels, patches, smooth};
+use super::columns::{Locations, of_all, of_channels, patches, smooth};
 use super::{Field, held_out, of_channels as narrow};
 use crate::constants::rivals::PRIOR;
 use crate::statistics::{Column, Statistics};
@@ -17,9 +17,9 @@ pub struct Structure {
     pub channel: f64,
     /// A factor of each channel that varies smoothly over place and force, beyond that.
     pub smooth_place: f64,
-    /// A factor of all channels that differs in some places, beyond these.
+    /// A factor of all channels that differs in some locations, beyond these.
     pub local_place: f64,
-    /// A factor of each channel that differs in some places, beyond these.
+    /// A factor of each channel that differs in some locations, beyond these.
     pub interaction: f64,
 }
 
@@ -33,15 +33,15 @@ pub(super) fn of(field: &Field<'_>, before: &[f32], left: &[f32]) -> Structure {
     if gap <= 0.0 {
         return Structure::default();
     }
-    let places = Places::of(field.samples);
-    let (bumps, _) = patches(&places, field.samples);
+    let locations = Locations::of(field.samples);
+    let (bumps, _) = patches(&locations, field.samples);
     let gains = vec![vec![1.0; field.samples.list.len()]];
     let mut columns: Vec<Column> = Vec::new();
     let mut sets: Vec<Vec<usize>> = vec![Vec::new()];
     let shared: Vec<Column> = bumps.iter().map(|f| of_all(&signals, count, f)).collect();
     let parts = [
         of_channels(&signals, count, &gains),
-        of_channels(&signals, count, &smooth(&places, &field.samples.list)[1..]),
+        of_channels(&signals, count, &smooth(&locations, &field.samples.list)[1..]),
         shared,
         of_channels(&signals, count, &bumps),
     ];

@@ -8,7 +8,7 @@
 //! Westfall and Young 1993).
 //!
 //! Assumptions: what no model explains is no noise but the error of laws, which goes on from press to press. So the likelihood is
-//! that of as many effective samples as there are places, times a factor, with the spread that the best model leaves. An effect
+//! that of as many effective samples as there are locations, times a factor, with the spread that the best model leaves. An effect
 //! that beats the model discrepancy by that measure is named firmly; one that does not may as well be it. Cost: algebra over
 //! [`Statistics`] only, a few thousand solves; no simulation.
 

@@ -53,7 +53,7 @@ pub(crate) fn device() -> Device {
     Device { noise: 5.0, law: 1.0, ..Device::default() }
 }
 
-/// Presses at random places: load, hold, unload, rest; what the device reads.
+/// Presses at random locations: load, hold, unload, rest; what the device reads.
 pub(crate) fn recorded(device: &Device, presses: usize, repeats: usize, seed: u64) -> Recording {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let dt = 0.02;
@@ -101,7 +101,7 @@ pub(crate) fn pressed(device: &Device, blocks: &[Block], run: u32, seed: u64) ->
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let dt = 0.02;
     let (mut frames, mut t, mut number): (Vec<Instant>, f64, u64) = (Vec::new(), 0.0, 0);
-    let mut places: Vec<Point3<f64>> = Vec::new();
+    let mut locations: Vec<Point3<f64>> = Vec::new();
     let idle = |t: &mut f64, frames: &mut Vec<Instant>| {
         for _ in 0..60 {
             frames.push((*t, Phase::Idle, 0, 0, Point3::origin(), 0.0, 0.0));
@@ -110,10 +110,10 @@ pub(crate) fn pressed(device: &Device, blocks: &[Block], run: u32, seed: u64) ->
     };
     idle(&mut t, &mut frames);
     for block in blocks {
-        let known = places.iter().position(|p| *p == block.at);
+        let known = locations.iter().position(|p| *p == block.at);
         let place = known.unwrap_or_else(|| {
-            places.push(block.at);
-            places.len() - 1
+            locations.push(block.at);
+            locations.len() - 1
         });
         for press in &block.presses {
             number += 1;

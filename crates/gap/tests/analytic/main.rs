@@ -87,7 +87,7 @@ fn taxels_that_lie_elsewhere_are_named() {
 fn a_rig_that_is_off_is_told_from_taxels_that_are() {
     let report = said(&Device { shift: 6e-4, ..device() });
     assert_eq!(report.class().first(), Some(&"truth-shift"), "{}", report.sentence);
-    // The device's other law is in it: its places are felt a little farther than ours.
+    // The device's other law is in it: its locations are felt a little farther than ours.
     let x = report.corrected[0].parameters["x"];
     assert!((x - 6e-4).abs() < 9e-5, "{x}");
 }

@@ -3,8 +3,8 @@
 use std::sync::atomic::AtomicBool;
 
 use dermis_gap::protocol::design::{Design, DesignOptions, Hypothesis, design};
+use dermis_gap::protocol::locations::locations;
 use dermis_gap::protocol::open::{Open, open};
-use dermis_gap::protocol::places::places;
 use dermis_gap::protocol::{Block, BlockKind, PlannedPress, Range};
 use dermis_gap::{Recording, Report, Simulator, Verdict};
 use dermis_skin::{Effect, SkinDescription};
@@ -33,7 +33,7 @@ fn short_recordings_say_together_what_neither_says_alone() {
     assert_eq!(report.data.sessions.len(), 2);
 }
 
-/// Single presses at random places with random forces.
+/// Single presses at random locations with random forces.
 fn random(count: usize, force: [f64; 2], seed: u64) -> Vec<Block> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let usual = RANGE.press(0.5);
@@ -52,10 +52,11 @@ fn next(report: &Report, minutes: f64) -> Design {
     let simulator = Simulator { skin: &skin, effects: EFFECTS, make: &make };
     let Open { hypotheses, beside, .. } = open(report, EFFECTS);
     let model = toy(&skin).unwrap();
-    let places = places(model.as_ref(), (0.6, 0.004), 8, |p| p.x.abs() < 0.013 && p.y.abs() < 0.008).unwrap();
+    let locations =
+        locations(model.as_ref(), (0.6, 0.004), 8, |p| p.x.abs() < 0.013 && p.y.abs() < 0.008).unwrap();
     let options = DesignOptions { minutes, range: RANGE, beside, unknown: 0.0 };
     let hidden = ProgressBar::hidden();
-    design(&simulator, &hypotheses, &places, &options, &AtomicBool::new(false), &hidden).unwrap()
+    design(&simulator, &hypotheses, &locations, &options, &AtomicBool::new(false), &hidden).unwrap()
 }
 
 /// What the tool's own device with these effects reads along these presses.
@@ -106,10 +107,10 @@ fn plain(hypotheses: &[Hypothesis]) -> Design {
     let skin = skin();
     let make = |skin: &SkinDescription| toy(skin);
     let simulator = Simulator { skin: &skin, effects: EFFECTS, make: &make };
-    let places: Vec<Point3<f64>> = [-0.009, 0.0, 0.009].map(|x| Point3::new(x, 0.003, 0.0)).into();
+    let locations: Vec<Point3<f64>> = [-0.009, 0.0, 0.009].map(|x| Point3::new(x, 0.003, 0.0)).into();
     let options = DesignOptions { minutes: 0.5, range: RANGE, beside: Vec::new(), unknown: 0.0 };
     let hidden = ProgressBar::hidden();
-    design(&simulator, hypotheses, &places, &options, &AtomicBool::new(false), &hidden).unwrap()
+    design(&simulator, hypotheses, &locations, &options, &AtomicBool::new(false), &hidden).unwrap()
 }
 
 #[test]

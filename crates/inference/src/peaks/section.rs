@@ -21,7 +21,7 @@ pub struct PeakSection {
     /// of both entries of the diagonal. 0 for points that are rigid.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub weights: Vec<f32>,
-    /// \[m\] root mean square error of places along either tangent, where it was measured.
+    /// \[m\] root mean square error of locations along either tangent, where it was measured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub position_sigma: Option<f64>,
     /// \[N\] root mean square error of forces, where it was measured.
@@ -32,7 +32,7 @@ pub struct PeakSection {
 }
 
 impl PeakSection {
-    /// Between what the inputs of a sensitivity network plausibly lie: places on a skin of a robot \[m\], and how far it gives way
+    /// Between what the inputs of a sensitivity network plausibly lie: locations on a skin of a robot \[m\], and how far it gives way
     /// there \[m\].
     pub(crate) const RANGES: [[f32; 2]; 4] = [[-0.1, 0.1], [-0.1, 0.1], [-0.1, 0.1], [0.0, 1e-3]];
 

@@ -1,7 +1,7 @@
 //! Minima as contacts with their errors.
 //!
 //! A contact that the readings locate has the covariance (JᵀJ)⁻¹ of least squares, scaled by what the minimum leaves beyond noise. One
-//! whose place is all but open is answered by its posterior mean over the dictionary: places are equally likely by their area, the
+//! whose place is all but open is answered by its posterior mean over the dictionary: locations are equally likely by their area, the
 //! force at each is Gaussian and cut off at 0. That costs one product with the dictionary.
 
 use dermis_model::{Unknowns, tangents};
@@ -43,7 +43,7 @@ impl Inverter {
             .collect()
     }
 
-    /// Mean and covariance of one contact over all places and forces, each as likely as any other before the reading.
+    /// Mean and covariance of one contact over all locations and forces, each as likely as any other before the reading.
     pub(super) fn mean(&self, data: &[Datum], sharp: &ContactEstimate) -> ContactEstimate {
         let levels = &self.dictionary.forces;
         let mut terms: Vec<(f64, f64, f64, usize)> = Vec::with_capacity(self.dictionary.locations.len());
@@ -118,7 +118,7 @@ impl Inverter {
 }
 
 impl Inverter {
-    /// Places of the dictionary that a mean over all has to evaluate. On a skin of very many elements, those that explain so much less than the best
+    /// Locations of the dictionary that a mean over all has to evaluate. On a skin of very many elements, those that explain so much less than the best
     /// that they weigh nothing follow from one product.
     fn likely(&self, data: &[Datum]) -> Vec<usize> {
         let all = 0..self.dictionary.locations.len();

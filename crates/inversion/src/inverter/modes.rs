@@ -1,7 +1,7 @@
-//! Minima of one contact: which places explain the readings, and how likely each is.
+//! Minima of one contact: which locations explain the readings, and how likely each is.
 //!
 //! Problem: few elements that each respond to half of a surface can read nearly the same for touches far apart. Least squares then has
-//! several minima, and a search that stops at the first plausible one is wrong by centimetres. Method: the places of the dictionary
+//! several minima, and a search that stops at the first plausible one is wrong by centimetres. Method: the locations of the dictionary
 //! that may hold a minimum are all refined; each minimum has the evidence of its Laplace approximation, √det C · exp(−χ²/2) times the
 //! prior of its force (D. J. C. MacKay, *Neural Comput.* 4 (1992) 415, eq. 4.1). A place may hold one where it explains the readings
 //! better than its neighbours do, and where what it leaves is no more than noise and the pitch of the dictionary leave. Assumptions:
@@ -17,13 +17,13 @@ use crate::settings::InverterError;
 
 /// Peaks of the dictionary that are refined at most.
 const PEAKS: usize = 6;
-/// Further places that are refined, each the best that is far from all minima so far.
+/// Further locations that are refined, each the best that is far from all minima so far.
 const FARTHER: usize = 3;
 /// \[spacings\] that is far.
 const APART: f64 = 3.0;
-/// Places that are tried besides where none of the minima explains the readings.
+/// Locations that are tried besides where none of the minima explains the readings.
 const RESTARTS: usize = 12;
-/// Places that are ranked.
+/// Locations that are ranked.
 const RANKED: usize = 200;
 /// Share of the evidence from which on a minimum stands for all.
 const CERTAIN: f64 = 0.99;
@@ -120,7 +120,7 @@ impl Inverter {
         }
     }
 
-    /// Whether a minimum lies at a place, as far as the dictionary tells places apart.
+    /// Whether a minimum lies at a place, as far as the dictionary tells locations apart.
     fn is_at(&self, minimum: &Minimum, location: Point3<f64>) -> bool {
         minimum.contacts.iter().any(|c| (c.position - location).norm() < self.spacing)
     }
@@ -130,7 +130,7 @@ impl Inverter {
         Limits { whole: sum_of_squares(data), noise }
     }
 
-    /// Places of the dictionary by the sum of squared deviations that a press there leaves, the best first; as many as are tried at
+    /// Locations of the dictionary by the sum of squared deviations that a press there leaves, the best first; as many as are tried at
     /// most.
     fn ranked(&self, scores: &[f32], limits: &Limits, data: &[Datum]) -> Vec<(f64, usize)> {
         // A direction is of all channels: where some do not say what they read, it is no measure of what the others leave.
@@ -204,7 +204,7 @@ impl Inverter {
         -0.5 * (information.determinant().ln() + self.score(minimum))
     }
 
-    /// Places of the dictionary that may hold a minimum, the best first.
+    /// Locations of the dictionary that may hold a minimum, the best first.
     fn peaks(&self, scores: &[f32], limits: &Limits) -> Vec<usize> {
         let mut highest: Vec<usize> = (0..scores.len())
             .filter(|i| {

@@ -200,7 +200,7 @@ fn light_presses_are_undetectable_and_strong_ones_are_not() {
     assert!((0.01..0.99).contains(&some), "{some}");
 }
 
-/// A grid whose places at x > 0 stand for nine times the area of those at x < 0, in all as much as before. Taxels at x > 0 have this
+/// A grid whose locations at x > 0 stand for nine times the area of those at x < 0, in all as much as before. Taxels at x > 0 have this
 /// gain.
 fn lopsided(gain: f64) -> Analytic {
     let mut model = grid(20.0);
@@ -227,7 +227,7 @@ fn locations_count_with_their_area() {
     let even = inverter(deaf).undetectable_fraction(0.1, 30.0);
     assert!((0.2..0.3).contains(&even), "{even}");
     approx::assert_relative_eq!(uneven / even, 1.8, max_relative = 0.01);
-    // Readings that say nothing leave the mean of all places: ∫|x| = 8.7 mm or so, of which (1.8 − 0.2) / 2 is left.
+    // Readings that say nothing leave the mean of all locations: ∫|x| = 8.7 mm or so, of which (1.8 − 0.2) / 2 is left.
     let data = vec![Datum::Exact(0.0, 1.0 / 20.0); 25];
     let sharp = ContactEstimate {
         position: Point3::origin(),

@@ -100,7 +100,7 @@ fn by_number(f: &mut fmt::Formatter<'_>, maps: &BTreeMap<String, MapErrors>) -> 
     Ok(())
 }
 
-/// Contacts that were read off a map: shares in percent, mean ± standard deviation; places in millimetres.
+/// Contacts that were read off a map: shares in percent, mean ± standard deviation; locations in millimetres.
 fn contacts(f: &mut fmt::Formatter<'_>, name: &str, of: &MapContacts) -> fmt::Result {
     writeln!(
         f,

@@ -82,7 +82,7 @@ fn maps_are_scored_where_they_are_given() {
     assert_eq!(errors.touched.frames + errors.touched.unanswered, 40);
     assert_eq!(errors.untouched.frames + errors.untouched.unanswered, 140, "those whose zero is known");
     assert!(errors.touched.unanswered > 0 && errors.untouched.unanswered > 0);
-    // Places up to 2.5 mm are nearest to the middle, farther ones to its neighbour 5 mm beside it.
+    // Locations up to 2.5 mm are nearest to the middle, farther ones to its neighbour 5 mm beside it.
     assert!(errors.touched.relative.is_some_and(|r| r > 0.5 && r < 2.0_f64.sqrt()), "{errors:?}");
     assert!(errors.touched.total_force.is_some_and(|f| f < 1e-5), "the sums are right: {errors:?}");
     assert_eq!((errors.untouched.rms, errors.untouched.relative), (Some(0.0), None));
@@ -150,7 +150,7 @@ impl Estimator for Shy {
 fn what_is_not_found_counts() {
     let data = presses(10, 2);
     let result = evaluate(&mut Shy, &data, None, "shy").unwrap();
-    // Places are 0 to 9 mm: 6 to 9 mm are not found. The middle of the surface is the origin.
+    // Locations are 0 to 9 mm: 6 to 9 mm are not found. The middle of the surface is the origin.
     assert_eq!((result.missed, result.not_found), (Some(0.4), Some(0.4)));
     let [all, found] = ["position", "position found"].map(|name| &result.quantities[name]);
     assert_eq!((all.samples, found.samples), (40, 24));

@@ -1,6 +1,6 @@
 //! Contacts that are read off a map of forces, beside the true ones.
 //!
-//! Problem: how well does a map tell the number, places, forces and widths of one to six contacts? Method (thesis section 4.3.2):
+//! Problem: how well does a map tell the number, locations, forces and widths of one to six contacts? Method (thesis section 4.3.2):
 //! contacts are the peaks of the map ([`ForcePeakFinder`]); each is held against the true one that the optimal assignment gives it
 //! (Kuhn 1955). Number, force and diameter are signed shares of the true ones. Rule: a true contact that no peak stands for counts
 //! in number, in [`force_rms`](ContactsRead::force_rms) as a force of 0, and in [`position`](ContactsRead::position) as the distance

@@ -2,7 +2,7 @@
 //!
 //! Problem: how well does a map tell place, force and width of the one contact that presses? Method (thesis, section 6.4.2): its place is the
 //! mean of the [`POINTS`](StrongestErrors::POINTS) points with the largest forces, its force the sum of all points, and its width that of the area whose points have
-//! more than a threshold each ([`THRESHOLDS`](StrongestErrors::THRESHOLDS)). Errors are the distance of places, the length of the difference of force vectors, the
+//! more than a threshold each ([`THRESHOLDS`](StrongestErrors::THRESHOLDS)). Errors are the distance of locations, the length of the difference of force vectors, the
 //! difference of their lengths, and the angle between them; all are medians, by true force, too.
 //!
 //! Assumption: one contact presses, and all of its force is known; other frames are left out, and their share is reported. Points have areas, and a

@@ -68,7 +68,7 @@ pub struct Trained {
     pub recorded: usize,
     /// Root mean square error of the transfer on recorded contacts that were held out, as a share of the virtual sensors' own.
     pub transfer_error: f64,
-    /// Root mean square \[m\] over whole maps of simulated contacts at held-out places, by their number from 1 on; the virtual
+    /// Root mean square \[m\] over whole maps of simulated contacts at held-out locations, by their number from 1 on; the virtual
     /// sensors are as the simulation says.
     pub map_rms: Vec<f64>,
     /// Peaks that taught the sensitivity.
@@ -82,7 +82,7 @@ fn wrong(reason: impl Into<String>) -> LearnError {
 }
 
 /// Trains all three on recorded single contacts of a device and the nominal `model` of its skin. `recorded` is parted by place;
-/// `choose` (single contacts at other places) is what errors of the transfer are measured on.
+/// `choose` (single contacts at other locations) is what errors of the transfer are measured on.
 ///
 /// # Errors
 ///

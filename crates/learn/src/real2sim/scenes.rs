@@ -24,9 +24,9 @@ pub struct SceneSettings {
     pub diameter: f64,
     /// \[m\] that contacts of a scene are apart at least.
     pub distance: f64,
-    /// Places of the surface that are pressed, over all three parts.
+    /// Locations of the surface that are pressed, over all three parts.
     pub sites: usize,
-    /// Draws places, parts and scenes.
+    /// Draws locations, parts and scenes.
     pub seed: u64,
 }
 
@@ -102,7 +102,7 @@ fn unknown() -> LearnError {
     }
 }
 
-/// Places are held out whole, in the thesis' ratio of 3 : 1 : 1.
+/// Locations are held out whole, in the thesis' ratio of 3 : 1 : 1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Part {
     /// To learn from.
@@ -113,7 +113,7 @@ pub enum Part {
     Test,
 }
 
-/// Places to press, parted.
+/// Locations to press, parted.
 #[derive(Debug, Clone)]
 pub struct Scenes {
     settings: SceneSettings,
@@ -122,7 +122,7 @@ pub struct Scenes {
 }
 
 impl Scenes {
-    /// Draws places all over the surface of a model, those left out that do not give way.
+    /// Draws locations all over the surface of a model, those left out that do not give way.
     ///
     /// # Errors
     ///
@@ -178,7 +178,7 @@ impl Scenes {
             found.into_iter().filter(|(d, _)| *d >= RIGID * median).map(|(_, site)| site).collect();
         if sites.len() < 10 {
             return Err(wrong(format!(
-                "{} places of the surface give way, where 10 are the least",
+                "{} locations of the surface give way, where 10 are the least",
                 sites.len()
             )));
         }
@@ -194,13 +194,13 @@ impl Scenes {
         &self.settings
     }
 
-    /// Places of a part.
+    /// Locations of a part.
     #[must_use]
     pub fn sites(&self, part: Part) -> &[(Point3<f64>, Vector3<f64>)] {
         &self.parts[part as usize]
     }
 
-    /// `count` scenes of `contacts` contacts at places of a part, the same ones whenever they are requested.
+    /// `count` scenes of `contacts` contacts at locations of a part, the same ones whenever they are requested.
     #[must_use]
     pub fn draw(&self, part: Part, contacts: usize, count: usize) -> Vec<Stimulus> {
         let s = &self.settings;

@@ -21,7 +21,7 @@ fn bump(square: f64, width: f64) -> f64 {
     (-square / (2.0 * width * width)).exp()
 }
 
-/// A made-up sheet that is stiff: its elements feel a bump about each contact. `off` is how far gains (times 0.1) and places
+/// A made-up sheet that is stiff: its elements feel a bump about each contact. `off` is how far gains (times 0.1) and locations
 /// \[mm\] are off.
 fn stiff_sheet(off: f64) -> Analytic {
     let spec = SurfaceSpec::Rectangle { size: [0.10, 0.06], spacing: 0.004 };

@@ -206,7 +206,7 @@ pub struct ConvConfig {
     /// convolutions then, and by a dense layer otherwise.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub surface: Option<[usize; 2]>,
-    /// Epochs without a lower error at other places of the training part after which training ends; 0: never.
+    /// Epochs without a lower error at other locations of the training part after which training ends; 0: never.
     #[serde(default = "patience")]
     pub patience: u32,
 }

@@ -18,7 +18,7 @@ pub struct ImageConfig {
     pub diameter: f64,
     /// Layers, of which the last one makes one plane of the pixels; a rectifier follows all others with parameters.
     pub layers: Vec<Layer>,
-    /// Epochs without a lower error at other places of the training part after which training ends; 0: never.
+    /// Epochs without a lower error at other locations of the training part after which training ends; 0: never.
     #[serde(default)]
     pub patience: u32,
 }

@@ -1,7 +1,7 @@
 //! From a data set to a convolutional network.
 //!
 //! Inputs and targets are held where they are few; otherwise they are computed anew in every epoch, while the bags are read, and
-//! nothing of them is held but a mini-batch and what is shuffled. A tenth of the places of the training part serves to stop early, besides those that are held out.
+//! nothing of them is held but a mini-batch and what is shuffled. A tenth of the locations of the training part serves to stop early, besides those that are held out.
 
 use std::cell::RefCell;
 use std::collections::BTreeSet;
@@ -19,7 +19,7 @@ use crate::{LearnError, SplitKind};
 
 /// Samples among which the next one is drawn.
 const SHUFFLE: usize = 1024;
-/// Places of the training part that serve to stop early.
+/// Locations of the training part that serve to stop early.
 const VALIDATION: f64 = 0.1;
 
 /// Bytes of inputs and targets up to which they are held from one epoch to the next.

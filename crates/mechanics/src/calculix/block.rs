@@ -24,7 +24,7 @@ const PUSHES: [(&str, [f64; 2], [f64; 3]); 2] =
 /// Sensors lie in the cells at these numbers from the middle one, 2 mm each.
 const SENSORS: [[u32; 2]; 5] = [[6, 0], [3, 1], [0, 0], [6, 6], [6, 3]];
 
-/// \[m\] places in the cells of cubic sensors of [`pad_readings`].
+/// \[m\] locations in the cells of cubic sensors of [`pad_readings`].
 const PAD_SENSORS: [[f64; 2]; 4] = [[0.0135, 0.0005], [0.0105, 0.0005], [0.0065, 0.0005], [0.0135, 0.0055]];
 
 /// Mean stress halfway down a bonded pad of 34 mm by 34 mm by 10 mm with free sides, pushed beside one side and in a corner.

@@ -56,7 +56,7 @@ const LOADS: [(&str, f64, [Push; 3]); 2] = [
     ),
 ];
 
-/// Mean stress halfway through the elastomer of a dome, bonded to its core, at several places under pushes into and along its surface.
+/// Mean stress halfway through the elastomer of a dome, bonded to its core, at several locations under pushes into and along its surface.
 ///
 /// # Errors
 ///
@@ -97,7 +97,7 @@ pub fn dome_cases() -> Result<Vec<Case>, CalculixError> {
         loads.push(Load { forces, ..Load::default() });
         shares.push(points);
     }
-    // Sensors in cells halfway, nearest to places of interest: what the points of integration say is taken as it is, because
+    // Sensors in cells halfway, nearest to locations of interest: what the points of integration say is taken as it is, because
     // what is made of it at nodes is a guess.
     let wanted = [[0.0, 0.0], [0.007_854, 0.4], [0.0157, 0.4], [0.023_708, 0.4], [0.007_854, 2.0]];
     let probe = |cell: usize| -> Probe {

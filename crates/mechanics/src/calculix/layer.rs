@@ -18,7 +18,7 @@ const DISC: f64 = 0.001;
 ///
 /// [`CalculixError`] where there is no CalculiX, or it fails.
 pub fn layer_cases() -> Result<Vec<Case>, CalculixError> {
-    // Nodes at the places in question: every second line of nodes is the edge of an element.
+    // Nodes at the locations in question: every second line of nodes is the edge of an element.
     let mut radii: Vec<f64> = (0..=8).map(|i| DISC * f64::from(i) / 8.0).collect();
     let mut refine = |end: f64, cells: u32| {
         let start = radii[radii.len() - 1];

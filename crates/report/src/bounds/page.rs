@@ -44,7 +44,7 @@ fn millimetres(points: impl Iterator<Item = (f64, f64)>) -> Vec<(f64, f64)> {
     points.map(|(x, y)| (x * 1e3, y)).collect()
 }
 
-/// Points of places in a row \[mm\], parted where places are missing between them.
+/// Points of locations in a row \[mm\], parted where locations are missing between them.
 fn unbroken(points: impl Iterator<Item = (usize, f64, f64)>) -> Vec<(f64, f64)> {
     let mut found = Vec::new();
     let mut last: Option<usize> = None;

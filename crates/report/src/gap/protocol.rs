@@ -10,7 +10,7 @@ fn probability(p: f64) -> String {
     if p < 0.001 { "< 0.1 %".to_owned() } else { format!("{:.1} %", 100.0 * p) }
 }
 
-/// What a person needs to carry out a plan: tips and places, then step after step what to do and what for. `plan` is how the plan file is
+/// What a person needs to carry out a plan: tips and locations, then step after step what to do and what for. `plan` is how the plan file is
 /// called.
 #[must_use]
 pub fn instructions(found: &Planned, plan: &str) -> String {
@@ -27,7 +27,7 @@ pub fn instructions(found: &Planned, plan: &str) -> String {
         let _ = writeln!(
             text,
             "\n{:.0} % of the time asks what no known effect explains: does it come again (the same press again), and where is it \
-             (places that were not pressed yet).",
+             (locations that were not pressed yet).",
             100.0 * unknown
         );
     }
@@ -49,7 +49,7 @@ pub fn instructions(found: &Planned, plan: &str) -> String {
         }
     };
     text.push_str(
-        "| step | what | places | forces [N] | times | tip [mm] | load, hold, let go, rest [s] | presses | min | for |\n\
+        "| step | what | locations | forces [N] | times | tip [mm] | load, hold, let go, rest [s] | presses | min | for |\n\
          |---|---|---|---|---|---|---|---|---|---|\n",
     );
     for (index, step) in protocol.steps.iter().enumerate() {
@@ -94,7 +94,7 @@ pub fn instructions(found: &Planned, plan: &str) -> String {
         None => {
             let _ = write!(
                 text,
-                "Do it twice, the second time after the skin was switched off, or mounted anew: the same places in two sessions tell what a \
+                "Do it twice, the second time after the skin was switched off, or mounted anew: the same locations in two sessions tell what a \
                  session changes.\n\n```\ndermis collect SKIN --plan {plan} --out BAG      # on the model\n\
                  dermis gap diagnose --skin SKIN --real BAG --and BAG2 --out DIR\n```\n"
             );

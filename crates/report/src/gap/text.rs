@@ -11,8 +11,8 @@ pub fn text(report: &Report) -> String {
     let data = &report.data;
     let _ = writeln!(
         out,
-        "\n{}: {} frames, {} presses of skin {}; {} frames sampled, {} places fitted, {} kept for the end",
-        data.name, data.frames, data.presses, data.skin, data.samples, data.places[0], data.places[1]
+        "\n{}: {} frames, {} presses of skin {}; {} frames sampled, {} locations fitted, {} kept for the end",
+        data.name, data.frames, data.presses, data.skin, data.samples, data.locations[0], data.locations[1]
     );
     for problem in &data.problems {
         let _ = writeln!(out, "  {}: {}", if problem.fatal { "wrong" } else { "note" }, problem.what);
@@ -141,7 +141,7 @@ pub fn text(report: &Report) -> String {
             rival.excess.map_or(String::new(), |e| format!(", {} more than what is named", percent(e)));
         let _ = writeln!(
             out,
-            "of shapes without a cause, {} explains most: {} of the gap on other places{more}",
+            "of shapes without a cause, {} explains most: {} of the gap on other locations{more}",
             rival.what,
             percent(rival.explains)
         );

@@ -149,7 +149,7 @@ fn errors(body: &mut String, findings: &Findings) -> Result<()> {
             curves(&axes("support vector regression", "elements", true), &count)?,
             curves(&axes("Cramér–Rao bound", "elements", true), &bound)?,
         ],
-        "<b>Error against the number of elements</b> at places that neither the search nor the estimator saw, mean and 95 % \
+        "<b>Error against the number of elements</b> at locations that neither the search nor the estimator saw, mean and 95 % \
          interval over noises and divisions; and what the noise alone would leave. Thesis Fig. 2.5 b.",
     ));
     if failures.iter().any(|c| c.points.len() > 1) {

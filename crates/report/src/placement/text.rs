@@ -32,7 +32,7 @@ pub fn text(findings: &Findings) -> String {
     let [seen, held_out] = findings.locations;
     let _ = writeln!(
         out,
-        "pressed with {} N at {} places; judged at {held_out} of them, by support vector regression that learns the other {seen}\n",
+        "pressed with {} N at {} locations; judged at {held_out} of them, by support vector regression that learns the other {seen}\n",
         forces.join(", "),
         seen + held_out
     );
@@ -203,7 +203,7 @@ mod tests {
     fn people_read_errors_failures_and_times() {
         insta::assert_snapshot!(text(&findings()), @r#"
 baro-grid: 26 candidates, 1 at edges, 0 close to supports, 25 can be built, of which 3 tell the others
-pressed with 0.42 N at 1200 places; judged at 300 of them, by support vector regression that learns the other 900
+pressed with 0.42 N at 1200 locations; judged at 300 of them, by support vector regression that learns the other 900
 
   error [mm] with                  1           2     bound     search  outward  to rim
   greedy-svr              20.00 ±2.0   4.00 ±0.4      0.30       74 s     1.00    4.00

@@ -17,7 +17,7 @@ const FORCE_MAX: f64 = 2.5;
 /// Frames of an untouched stretch that noise is taken from: a second at most rates, so that temperature does not count.
 const STRETCH: usize = 200;
 
-/// Readings of a skin over places and forces.
+/// Readings of a skin over locations and forces.
 pub enum Source {
     /// The forward model.
     Model(Arc<dyn ForwardModel>),
@@ -125,7 +125,7 @@ impl Source {
         }
     }
 
-    /// Readings at places; those of a recording from presses within `reach` \[m\].
+    /// Readings at locations; those of a recording from presses within `reach` \[m\].
     pub(super) fn responses(
         &self,
         surface: &Surface,

@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 
 use super::{Findings, INTERVALS};
 
-/// Root mean square of σ_P over the places and the forces of an interval \[m\]: how it was computed, by whom.
+/// Root mean square of σ_P over the locations and the forces of an interval \[m\]: how it was computed, by whom.
 #[must_use]
 pub fn by_interval(line: &LineStudy, of: fn(&ByForce) -> Option<Averages>) -> Vec<Option<f64>> {
     INTERVALS
@@ -28,7 +28,7 @@ pub fn median(line: &LineStudy, of: impl Fn(&TaxelStudy) -> Option<f64>) -> f64 
     values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
 }
 
-/// For programs: everything but what belongs to single places.
+/// For programs: everything but what belongs to single locations.
 #[must_use]
 pub fn summary(findings: &Findings) -> Value {
     let line = findings.line.as_ref().map(|line| {

@@ -27,7 +27,7 @@ const MOST_TARGETS: usize = MOST_BOUNDED;
 pub struct BaselineComparison {
     /// Its name.
     pub method: &'static str,
-    /// Settings that were chosen on places that nothing was learned from, for place and force, and how many frames it learned from.
+    /// Settings that were chosen on locations that nothing was learned from, for place and force, and how many frames it learned from.
     pub settings: Value,
     /// Its errors.
     pub evaluation: Evaluation,

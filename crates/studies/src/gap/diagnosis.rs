@@ -43,7 +43,7 @@ pub struct Request {
     /// Of everything random.
     #[arg(long, default_value_t = Request::default().seed)]
     pub seed: u64,
-    /// Times that selection and fit are run again on other places, for the interval of the residual
+    /// Times that selection and fit are run again on other locations, for the interval of the residual
     /// reduction.
     #[arg(long, default_value_t = Request::default().resamples)]
     pub resamples: usize,

@@ -18,8 +18,8 @@ use serde::{Deserialize, Serialize};
 use super::protocol::{Protocol, range, spread};
 use crate::Families;
 
-/// Places that a protocol chooses from.
-const PLACES: usize = 96;
+/// Locations that a protocol chooses from.
+const LOCATIONS: usize = 96;
 
 /// The first protocol of a skin.
 #[derive(Debug, Clone, Args, Serialize, Deserialize)]
@@ -103,12 +103,12 @@ const FIRST: [(BlockKind, f64); 4] = [
     (BlockKind::Again, 0.08),
     (BlockKind::TwoTips, 0.08),
 ];
-/// Places of the reference presses, which are done before, between and after everything else.
+/// Locations of the reference presses, which are done before, between and after everything else.
 const REFERENCES: usize = 3;
 
 /// Designs the first protocol of a skin: a force ladder at two speeds, a hold with a rest, repeats, a second tip, reference presses that show
-/// how the skin warms up, and single presses spread over the surface. All blocks share their places as far as they go, so that a second
-/// session with the same plan crosses places and sessions.
+/// how the skin warms up, and single presses spread over the surface. All blocks share their locations as far as they go, so that a second
+/// session with the same plan crosses locations and sessions.
 ///
 /// # Errors
 ///
@@ -117,14 +117,14 @@ pub fn plan(request: &PlanRequest, families: &Families) -> Result<Planned> {
     let skin = SkinDescription::load(&request.skin)?;
     let model = families.model_of_file(&request.skin, &skin)?;
     let range = range(&skin, model.as_ref());
-    let places = spread(&skin, &model, &range, PLACES)?;
+    let locations = spread(&skin, &model, &range, LOCATIONS)?;
     let description =
         "first protocol: ladder at two speeds, hold and rest, repeats, second tip, warm-up, spread"
             .to_owned();
     let mut protocol =
         Protocol::new(&format!("{}-first", skin.name), description, &skin, range, request.seed);
     let budget = 60.0 * request.minutes;
-    let references: Vec<Block> = places
+    let references: Vec<Block> = locations
         .iter()
         .take(REFERENCES)
         .map(|at| Block { kind: BlockKind::Single, at: *at, presses: vec![range.press(0.6)] })
@@ -147,11 +147,11 @@ pub fn plan(request: &PlanRequest, families: &Families) -> Result<Planned> {
         let cost = |at: &Point3<f64>| {
             of(at).iter().flat_map(|b| &b.presses).map(PlannedPress::duration).sum::<f64>()
         };
-        let Some(one) = places.first().map(cost).filter(|cost| *cost > 0.0) else { continue };
-        let count = ((share * budget / one) as usize).clamp(1, places.len());
-        blocks.push(places[..count].iter().flat_map(of).collect());
+        let Some(one) = locations.first().map(cost).filter(|cost| *cost > 0.0) else { continue };
+        let count = ((share * budget / one) as usize).clamp(1, locations.len());
+        blocks.push(locations[..count].iter().flat_map(of).collect());
     }
-    // What is left goes to single presses at other places, at forces that go through the range.
+    // What is left goes to single presses at other locations, at forces that go through the range.
     protocol.refer(&references);
     for of in &blocks {
         protocol.add(of);
@@ -162,8 +162,8 @@ pub fn plan(request: &PlanRequest, families: &Families) -> Result<Planned> {
     let count = (left / one).max(0.0) as usize;
     let shares = [0.3, 0.6, 0.9];
     let mut singles = Vec::new();
-    for (number, at) in places.iter().rev().cycle().take(count.min(2 * places.len())).enumerate() {
-        let round = number / places.len();
+    for (number, at) in locations.iter().rev().cycle().take(count.min(2 * locations.len())).enumerate() {
+        let round = number / locations.len();
         let press = range.press(shares[(number + round) % shares.len()]);
         singles.push(Block { kind: BlockKind::Single, at: *at, presses: vec![press] });
     }
@@ -198,10 +198,10 @@ pub fn next(
     let simulator = Simulator { skin: &skin, effects, make: &make };
     let model = families.model(&skin)?;
     let range = range(&skin, model.as_ref());
-    let places = spread(&skin, &model, &range, PLACES)?;
+    let locations = spread(&skin, &model, &range, LOCATIONS)?;
     let Open { hypotheses, beside, unknown } = open(&report, effects);
     let options = DesignOptions { minutes: request.minutes, range, beside, unknown };
-    let found = design(&simulator, &hypotheses, &places, &options, stop, progress)?;
+    let found = design(&simulator, &hypotheses, &locations, &options, stop, progress)?;
     if found.blocks.is_empty() {
         bail!("no press fits into {} min: allow more with --minutes", request.minutes);
     }

@@ -5,7 +5,7 @@ use std::fmt::Write;
 use std::sync::Arc;
 
 use anyhow::{Context, Result};
-use dermis_gap::protocol::{Block, BlockKind, PlannedPress, Range, places::places};
+use dermis_gap::protocol::{Block, BlockKind, PlannedPress, Range, locations::locations};
 use dermis_model::{ForwardModel, Indentation, Stimulus};
 use dermis_skin::{Rated, SkinDescription, TipKind};
 use dermis_testbed::{Plan, Timeline};
@@ -17,7 +17,7 @@ const QUIET: f64 = 5.0;
 /// \[s\] between first contacts of two presses that a rig needs beside what the plan says: the way to the surface.
 const APPROACH: f64 = 0.1;
 
-/// One step of a protocol: the same presses at some places, or nothing.
+/// One step of a protocol: the same presses at some locations, or nothing.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ProtocolStep {
     /// What it is.
@@ -86,7 +86,7 @@ fn round(value: f64) -> f64 {
     (value * scale).round() / scale
 }
 
-/// Presses of blocks that are alike, and the places of these blocks \[m\].
+/// Presses of blocks that are alike, and the locations of these blocks \[m\].
 type Alike<'a> = (&'a [PlannedPress], Vec<[f64; 3]>);
 
 /// Presses to come, in their order.
@@ -138,7 +138,7 @@ impl Protocol {
             let same = kinds.entry(block.kind).or_default();
             let at: [f64; 3] = block.at.coords.map(|v| (v * 1e6).round() * 1e-6).into();
             match same.iter_mut().find(|(presses, _)| *presses == block.presses) {
-                Some((_, places)) => places.push(at),
+                Some((_, locations)) => locations.push(at),
                 None => same.push((&block.presses, vec![at])),
             }
         }
@@ -221,7 +221,7 @@ impl Protocol {
                 let _ = write!(text, "kind = \"idle\"\nduration = {:?}   # [s]\n", step.seconds[3]);
                 continue;
             }
-            text.push_str("kind = \"places\"\nat = [\n");
+            text.push_str("kind = \"locations\"\nat = [\n");
             for [x, y, z] in &step.at {
                 let _ = writeln!(text, "    [{x:?}, {y:?}, {z:?}],");
             }
@@ -271,7 +271,7 @@ pub(super) fn range(skin: &SkinDescription, model: &dyn ForwardModel) -> Range {
     Range { force, tip: diameter, second_tip }
 }
 
-/// Where a protocol presses: at most `count` places, the one that the skin feels best first.
+/// Where a protocol presses: at most `count` locations, the one that the skin feels best first.
 pub(super) fn spread(
     skin: &SkinDescription,
     model: &Arc<dyn ForwardModel>,
@@ -286,7 +286,7 @@ pub(super) fn spread(
         probe.add(&[Block { kind: BlockKind::Single, at: *at, presses: vec![range.press(0.5)] }]);
         probe.plan().is_ok_and(|plan| Timeline::new(&plan, model, 0).is_ok())
     };
-    let found = places(model.as_ref(), (range.force(0.6), range.tip), count, may)?;
+    let found = locations(model.as_ref(), (range.force(0.6), range.tip), count, may)?;
     (!found.is_empty()).then_some(found).with_context(|| {
         format!("skin `{}` has no place where its rated tip of {} m may press", skin.name, range.tip)
     })

@@ -64,7 +64,7 @@ pub struct Request {
     /// How the bags are read.
     #[command(flatten)]
     pub labels: Labels,
-    /// Labelled bags with one and two contacts of the same device, at places and forces of other seeds.
+    /// Labelled bags with one and two contacts of the same device, at locations and forces of other seeds.
     #[arg(required = true)]
     pub bags: Vec<PathBuf>,
 }

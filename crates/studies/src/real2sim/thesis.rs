@@ -1,6 +1,6 @@
 //! Several contacts from few readings at the sizes and by the protocol of chapter 3 of the thesis (HapDefX).
 //!
-//! Problem: readings of a few gauges → places and forces of one or two contacts, where only single contacts can be recorded.
+//! Problem: readings of a few gauges → locations and forces of one or two contacts, where only single contacts can be recorded.
 //! Method: the three networks of [`dermis_learn::real2sim`], of whatever sizes the settings say; `launch/real2sim/thesis.toml` says
 //! the thesis'. What is measured, on recordings that nothing was learned from:
 //!
@@ -91,7 +91,7 @@ pub struct Request {
     /// How the bags are read.
     #[command(flatten)]
     pub labels: Labels,
-    /// Labelled bags with one and two contacts of the same device, at places and forces of other seeds.
+    /// Labelled bags with one and two contacts of the same device, at locations and forces of other seeds.
     #[arg(required = true)]
     pub bags: Vec<PathBuf>,
 }

@@ -167,7 +167,7 @@ pub fn learn(options: &Request, families: &Families, progress: &dyn Progress) ->
     Ok(Findings { trained, evaluation, seconds })
 }
 
-/// Four of five places to learn from, and the fifth to choose by.
+/// Four of five locations to learn from, and the fifth to choose by.
 pub(crate) fn parts(data: &Dataset, train: &[SampleId]) -> (Vec<SampleId>, Vec<SampleId>) {
     let location = |id: &SampleId| data.sample(*id).and_then(|s| s.truth.as_ref()).map(|t| t.location);
     let locations: BTreeSet<u32> = train.iter().filter_map(location).collect();

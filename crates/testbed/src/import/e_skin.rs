@@ -1,6 +1,6 @@
 //! Hydrogel skins read by electrical impedance tomography (github DSHardman/Variable-Sensitivity-E-Skins, which belongs to "Variable
 //! Sensitivity Multimaterial Robotic E-Skins using Electrical Impedance Tomography"; no licence is stated): a conductive sheet, plain or
-//! patterned, pressed at random places by a robot.
+//! patterned, pressed at random locations by a robot.
 //!
 //! A recording is a folder with two tables without header rows: `inp_*.csv` has 192 numbers a press, `out_*.csv` the robot's x, y and z in m.
 

@@ -36,7 +36,7 @@ const SHORTEST: f64 = 0.5;
 const REST: f64 = 1.0;
 /// \[s\] by which the way back to the first place is longer than that to the next one.
 const WAY_BACK: [f64; 2] = [0.6, 3.0];
-/// Places of a sweep along the line, and \[m\] between them: 10 to 90 mm.
+/// Locations of a sweep along the line, and \[m\] between them: 10 to 90 mm.
 const SWEEP: usize = 9;
 const SWEEP_STEP: f64 = 0.010;
 /// Share of a press's usual force that tells holding from loading and unloading.
@@ -45,6 +45,10 @@ const HELD: f64 = 0.9;
 const ZERO_TIME: f64 = 1.0;
 /// Largest array that a recording can hold: a day at 100 Hz.
 const MOST_SAMPLES: u64 = 24 * 3600 * 100;
+
+use sweeps::{line_place, sweeps};
+
+mod sweeps;
 
 pub(super) fn recognises(path: &Path) -> bool {
     let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
@@ -69,8 +73,8 @@ pub(super) fn recognises(path: &Path) -> bool {
 ///
 /// **Time series.** Readings at the recorded rate in Pa, 5000 Pa/V and not zeroed (the sensors rest at about
 /// 2.5 V). The force is −4.1448 N/V of the load cell minus its mean over the first second. Where the skin is pressed is not
-/// recorded. The rhythm of presses on the line tells it where they come in sweeps of nine places with a longer way back after
-/// each: then presses, phases and places are those, forces are above those before the press, and each press is a location
+/// recorded. The rhythm of presses on the line tells it where they come in sweeps of nine locations with a longer way back after
+/// each: then presses, phases and locations are those, forces are above those before the press, and each press is a location
 /// of its own, for its depth is another. Otherwise the contact's position is NaN throughout. Stamps count from 2025-01-01 on.
 ///
 /// # Errors
@@ -274,7 +278,7 @@ fn presses(file: &Path, out_dir: &Path) -> Result<ImportReport, ImportError> {
         worst_mismatch: None,
         assumed: vec![
             format!(
-                "the origin is the middle of the pressed places, x {:.0} and y {:.0} mm of the sheet; z out of the surface",
+                "the origin is the middle of the pressed locations, x {:.0} and y {:.0} mm of the sheet; z out of the surface",
                 centre[0] * 1e3,
                 centre[1] * 1e3
             ),
@@ -420,7 +424,7 @@ fn time_series(file: &Path, out_dir: &Path) -> Result<ImportReport, ImportError>
                     series.len()
                 )
             } else {
-                "presses follow no rhythm that tells their places".to_owned()
+                "presses follow no rhythm that tells their locations".to_owned()
             },
         ],
         missing: if placed > 0 {
@@ -434,80 +438,4 @@ fn time_series(file: &Path, out_dir: &Path) -> Result<ImportReport, ImportError>
         },
     };
     target.finish(facts, file)
-}
-
-/// One press of a time series, in samples.
-#[derive(Debug, Clone, PartialEq)]
-struct Pressed {
-    begin: usize,
-    end: usize,
-    /// First and last (exclusive) sample in which it is held.
-    held: [usize; 2],
-    /// \[N\] that the load cell reads before it.
-    rest: f64,
-    /// Which place of its sweep; `None` for presses outside of whole sweeps.
-    place: Option<usize>,
-}
-
-/// \[m\] from the middle of the line.
-fn line_place(place: usize) -> f64 {
-    (place as f64 - (SWEEP as f64 - 1.0) / 2.0) * SWEEP_STEP
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
-}
-
-/// The presses of a time series of forces \[N\], where these come in sweeps; none where most do not.
-fn sweeps(newtons: &[f64], rate: f64) -> Vec<Pressed> {
-    let samples = |seconds: f64| (seconds * rate).round() as usize;
-    let rest = median(newtons.to_vec());
-    let wide = samples(0.04).max(1);
-    let smooth = |i: usize| {
-        let of = &newtons[i.saturating_sub(wide)..(i + wide + 1).min(newtons.len())];
-        of.iter().sum::<f64>() / of.len() as f64
-    };
-    let mut spans: Vec<[usize; 2]> = Vec::new();
-    for i in (0..newtons.len()).filter(|&i| smooth(i) - rest > TOUCHED) {
-        match spans.last_mut() {
-            Some(span) if i - span[1] < samples(REST) => span[1] = i + 1,
-            _ => spans.push([i, i + 1]),
-        }
-    }
-    spans.retain(|span| span[1] - span[0] > samples(SHORTEST));
-    let mut found: Vec<Pressed> = spans
-        .iter()
-        .map(|&[begin, end]| {
-            let before =
-                newtons[begin.saturating_sub(samples(0.6))..begin.saturating_sub(samples(0.2))].to_vec();
-            let rest = if before.is_empty() { rest } else { median(before) };
-            let usual = median(newtons[begin..end].to_vec()) - rest;
-            let strong = |i: &usize| newtons[*i] - rest >= HELD * usual;
-            let first = (begin..end).find(strong).unwrap_or(begin);
-            let last = (begin..end).rfind(strong).map_or(end, |i| i + 1);
-            Pressed { begin, end, held: [first, last], rest, place: None }
-        })
-        .collect();
-    let periods: Vec<f64> = found.windows(2).map(|p| (p[1].begin - p[0].begin) as f64 / rate).collect();
-    let usual = median(periods.clone());
-    let mut starts: Vec<usize> = periods
-        .iter()
-        .enumerate()
-        .filter(|(_, p)| (WAY_BACK[0]..WAY_BACK[1]).contains(&(**p - usual)))
-        .map(|(i, _)| i + 1)
-        .collect();
-    // The last sweep has no way back after it.
-    starts.push(found.len());
-    let mut placed = 0;
-    for pair in starts.windows(2) {
-        let last = pair[1] == found.len();
-        if pair[1] - pair[0] == SWEEP || (last && pair[1] - pair[0] < SWEEP) {
-            for (place, press) in found[pair[0]..pair[1]].iter_mut().enumerate() {
-                press.place = Some(place);
-                placed += 1;
-            }
-        }
-    }
-    if placed * 5 < found.len() * 4 || placed < 3 * SWEEP { Vec::new() } else { found }
 }

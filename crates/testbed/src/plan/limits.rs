@@ -52,7 +52,7 @@ pub(super) fn check(plan: &Plan) -> Result<(), (String, String)> {
                 limits(at("pitch"), pitch, LENGTH, "m")?;
                 listed(&levels.values)?;
             }
-            Action::Places { at: locations, levels } => {
+            Action::Locations { at: locations, levels } => {
                 for (j, place) in locations.iter().enumerate() {
                     limits(at(&format!("at[{j}]")), &place.map(f64::abs), [0.0, LENGTH[1]], "m")?;
                 }

@@ -48,31 +48,31 @@ pub enum Action {
         /// \[s\].
         duration: f64,
     },
-    /// Single presses at random places.
+    /// Single presses at random locations.
     Presses {
-        /// Number of places.
+        /// Number of locations.
         count: u32,
         /// Range of what each press goes up to.
         level: Level<[f64; 2]>,
         /// Presses at each place, each with a level of its own.
         repeats: u32,
     },
-    /// Single presses at random places, all up to the same levels.
+    /// Single presses at random locations, all up to the same levels.
     Levels {
-        /// Number of places.
+        /// Number of locations.
         count: u32,
         /// What each place is pressed up to.
         levels: Levels,
     },
-    /// Single presses on a grid of places, in random order of the places.
+    /// Single presses on a grid of locations, in random order of the locations.
     Grid {
-        /// \[m\] between places, along x and y of the skin's link.
+        /// \[m\] between locations, along x and y of the skin's link.
         pitch: [f64; 2],
         /// What each place is pressed up to.
         levels: Levels,
     },
-    /// Single presses at places that are named, in order.
-    Places {
+    /// Single presses at locations that are named, in order.
+    Locations {
         /// \[m\] on the surface, in the frame of the skin's link.
         at: Vec<[f64; 3]>,
         /// What each place is pressed up to.
@@ -89,7 +89,7 @@ pub enum Action {
         /// \[m/s\] range of the speed.
         speed: [f64; 2],
     },
-    /// Several contacts at once, at random places.
+    /// Several contacts at once, at random locations.
     Multi {
         /// Number of presses.
         count: u32,
@@ -103,7 +103,7 @@ pub enum Action {
     /// Several tips of one plate, lowered together: each sits on an arm of a hexagon about the middle of the plate, all as far from
     /// it. One level is that of all tips.
     Hex {
-        /// Number of places of the plate.
+        /// Number of locations of the plate.
         count: u32,
         /// Range of the number of tips, 1 to 6, both ends included. They sit on the arms of [`HEX_ARMS`].
         contacts: [u32; 2],

@@ -10,7 +10,8 @@ enum Kind {
     Idle,
     Presses,
     Grid,
-    Places,
+    #[serde(alias = "places")]
+    Locations,
     Slides,
     Multi,
     Hex,
@@ -22,7 +23,7 @@ impl Kind {
             Self::Idle => "idle",
             Self::Presses => "presses",
             Self::Grid => "grid",
-            Self::Places => "places",
+            Self::Locations => "locations",
             Self::Slides => "slides",
             Self::Multi => "multi",
             Self::Hex => "hex",
@@ -212,7 +213,7 @@ impl StepFile {
                 (&["count", "force", "depth", "forces", "depths", "incremental", "repeats"], &MANNER)
             }
             Kind::Grid => (&["pitch", "forces", "depths", "incremental", "repeats"], &MANNER),
-            Kind::Places => (&["at", "forces", "depths", "incremental", "repeats"], &MANNER),
+            Kind::Locations => (&["at", "forces", "depths", "incremental", "repeats"], &MANNER),
             Kind::Slides => (&["count", "force", "length", "speed", "diameter"], &[]),
             Kind::Multi => {
                 (&["count", "contacts", "distance", "force", "depth", "forces", "depths"], &MANNER)
@@ -277,7 +278,7 @@ impl StepFile {
                 pitch: self.pitch.ok_or_else(missing("pitch"))?.both(),
                 levels: levels(self.forces, self.depths, self.incremental)?,
             },
-            Kind::Places => Action::Places {
+            Kind::Locations => Action::Locations {
                 at: self.at.ok_or_else(missing("at"))?,
                 levels: levels(self.forces, self.depths, self.incremental)?,
             },
@@ -359,7 +360,9 @@ impl From<Step> for StepFile {
             Action::Grid { pitch, levels } => {
                 lists(levels, Self { pitch: Some(pitch.into()), ..Self::of(Kind::Grid) })
             }
-            Action::Places { at, levels } => lists(levels, Self { at: Some(at), ..Self::of(Kind::Places) }),
+            Action::Locations { at, levels } => {
+                lists(levels, Self { at: Some(at), ..Self::of(Kind::Locations) })
+            }
             Action::Slides { count, force, length, speed } => Self {
                 count: Some(count),
                 force: Some(force),

@@ -117,7 +117,7 @@ impl Checker<'_> {
                 self.range("pitch", [*y, *y], "m")?;
                 self.levels(levels)
             }
-            Action::Places { at, levels } => {
+            Action::Locations { at, levels } => {
                 self.locations(at)?;
                 Ok(at.len() as u64 * self.levels(levels)?)
             }

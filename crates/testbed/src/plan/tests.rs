@@ -17,7 +17,7 @@ fn refusals_name_file_field_and_remedy() {
     insta::assert_snapshot!(refused("force = [0.1, 0.5]", "force = [0.0, 0.5]"), @"plan plan.toml: field `steps[1].force`: [0, 0.5] is not a range: 0 < low ≤ high N");
     insta::assert_snapshot!(refused("forces = [0.2, 0.4]", "forces = []"), @"plan plan.toml: field `steps[2].forces`: is empty: name at least one");
     insta::assert_snapshot!(refused("contacts = [2, 3]", "contacts = [0, 3]"), @"plan plan.toml: field `steps[4].contacts`: [0, 3] is not a range: 1 ≤ low ≤ high ≤ 100");
-    insta::assert_snapshot!(refused("kind = \"slides\"", "kind = \"slide\""), @"plan plan.toml: field `steps[3].kind`: unknown variant `slide`, expected one of `idle`, `presses`, `grid`, `places`, `slides`, `multi`, `hex`");
+    insta::assert_snapshot!(refused("kind = \"slides\"", "kind = \"slide\""), @"plan plan.toml: field `steps[3].kind`: unknown variant `slide`, expected one of `idle`, `presses`, `grid`, `locations`, `places`, `slides`, `multi`, `hex`");
     insta::assert_snapshot!(refused("count = 4", "count = 4000000000"), @"plan plan.toml: field `steps`: make 8000000016 contacts; 1000000 at most fit a recording");
     insta::assert_snapshot!(refused("repeats = 2", "repeats = 0"), @"plan plan.toml: field `steps[1].repeats`: is 0 and must be at least 1");
     insta::assert_snapshot!(refused("seed = 3", "seed = \"three\""), @r#"plan plan.toml: field `seed`: invalid type: string "three", expected u64"#);
@@ -39,7 +39,7 @@ const MORE: &str = r#"
     shear_direction = 1.5
     hold = [0.1, 0.2]
     [[steps]]
-    kind = "places"
+    kind = "locations"
     at = [[0.0, 0.0, 0.0], [0.001, 0.0, 0.0]]
     forces = [0.1]
     diameter = 0.008
@@ -107,7 +107,7 @@ fn steps_refuse_what_does_not_belong_to_them() {
     insta::assert_snapshot!(refused("count = 3", "count = 3\ncolour = 1"), @"plan plan.toml: field `steps[2].colour`: unknown field `colour`, expected one of `kind`, `duration`, `count`, `pitch`, `at`, `contacts`, `distance`, `force`, `depth`, `forces`, `depths`, `incremental`, `repeats`, `length`, `speed`, `diameter`, `shear`, `shear_direction`, `load`, `hold`, `unload`, `gap`, `least_force`, `most_force`, `radius`, `turn`");
     insta::assert_snapshot!(refused("count = 3", ""), @"plan plan.toml: field `steps[2].count`: is missing: a step of kind `presses` needs it");
     insta::assert_snapshot!(refused("count = 3", "count = 3\nforce = [0.1, 0.2]"), @"plan plan.toml: field `steps[2].depth`: stands beside `force`: name one of them");
-    insta::assert_snapshot!(refused("forces = [0.1]", ""), @"plan plan.toml: field `steps[1].forces`: is missing: a step of kind `places` needs it, or `depths`");
+    insta::assert_snapshot!(refused("forces = [0.1]", ""), @"plan plan.toml: field `steps[1].forces`: is missing: a step of kind `locations` needs it, or `depths`");
     insta::assert_snapshot!(refused("forces = [0.1]", "forces = [0.1]\ndepths = [0.1]"), @"plan plan.toml: field `steps[1].depths`: stands beside `forces`: name one of them");
     insta::assert_snapshot!(refused("[0.001, 0.002]\n    incremental", "[0.002, 0.002]\n    incremental"), @"plan plan.toml: field `steps[0].depths[1]`: is 0.002 m, and an incremental press goes up only");
     insta::assert_snapshot!(refused("shear = 0.5\n", ""), @"plan plan.toml: field `steps[0].shear_direction`: says where to without `shear`, which says how much");

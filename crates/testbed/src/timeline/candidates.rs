@@ -95,7 +95,7 @@ impl<'a> CandidateLocations<'a> {
             let [nx, ny] = [count(0), count(1)];
             if nx * ny > PRESSES_MAX as f64 {
                 return Err(format!(
-                    "makes {:.0} places; {PRESSES_MAX} contacts at most fit a recording",
+                    "makes {:.0} locations; {PRESSES_MAX} contacts at most fit a recording",
                     nx * ny
                 ));
             }

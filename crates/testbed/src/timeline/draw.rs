@@ -1,4 +1,4 @@
-//! The random choices of a timeline: places, levels, tips, directions.
+//! The random choices of a timeline: locations, levels, tips, directions.
 //!
 //! Two streams of one seed: a second one serves what not every press draws, so that a plan without it draws what it drew before.
 
@@ -17,11 +17,11 @@ pub(super) struct Draw<'a> {
     pub(super) more: ChaCha8Rng,
     pub(super) plan: &'a Plan,
     pub(super) candidates: &'a CandidateLocations<'a>,
-    /// Comparisons with edges of the rim and with other contacts, for all places that were tried.
+    /// Comparisons with edges of the rim and with other contacts, for all locations that were tried.
     pub(super) tried: u64,
 }
 
-/// Comparisons of all places that a plan draws: some seconds.
+/// Comparisons of all locations that a plan draws: some seconds.
 pub(super) const EFFORT: u64 = 1_000_000_000;
 
 /// Tries before a surface counts as too small for what the plan names.
@@ -145,7 +145,7 @@ impl<'a> Draw<'a> {
         None
     }
 
-    /// So many places, each so far from every other.
+    /// So many locations, each so far from every other.
     pub(super) fn apart(&mut self, count: usize, [least, most]: [f64; 2]) -> Option<Vec<Point3<f64>>> {
         for _ in 0..20 {
             let mut locations: Vec<Point3<f64>> = Vec::new();

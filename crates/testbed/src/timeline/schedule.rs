@@ -1,6 +1,6 @@
 //! From a plan to presses, one after the other.
 //!
-//! Steps are carried out in order, and each draws its places, levels and durations. A plan that would last or draw for too
+//! Steps are carried out in order, and each draws its locations, levels and durations. A plan that would last or draw for too
 //! long is refused while it is drawn, and a depth that the model knows no force for before it is recorded.
 
 use std::sync::Arc;
@@ -73,7 +73,7 @@ struct Schedule<'a> {
     step: usize,
     /// Identity of the last place, from 1.
     location: u32,
-    /// Places that were named, and their identities.
+    /// Locations that were named, and their identities.
     named: Vec<(Point3<f64>, u32)>,
 }
 
@@ -95,7 +95,7 @@ impl Schedule<'_> {
                 self.levels(at, levels, profile)
             }),
             Action::Grid { pitch, levels } => self.grid(*pitch, levels, profile),
-            Action::Places { at, levels } => {
+            Action::Locations { at, levels } => {
                 at.iter().enumerate().try_for_each(|(j, at)| self.named_place(j, *at, levels, profile))
             }
             Action::Slides { count, force, length, speed } => {
@@ -388,7 +388,7 @@ impl Schedule<'_> {
         }
         if self.draw.tried > EFFORT {
             return wrong(
-                "finds too few places that keep the margin and the distances: take fewer presses, a smaller margin or shorter \
+                "finds too few locations that keep the margin and the distances: take fewer presses, a smaller margin or shorter \
                  distances"
                     .to_owned(),
             );
@@ -407,7 +407,7 @@ impl Schedule<'_> {
         let field = match &plan.steps[step].action {
             Action::Levels { .. }
             | Action::Grid { .. }
-            | Action::Places { .. }
+            | Action::Locations { .. }
             | Action::Hex { .. }
             | Action::Multi { level: Level::Depth(Drawn::OneOf(_)), .. } => "depths",
             _ => "depth",

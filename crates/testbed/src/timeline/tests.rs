@@ -339,7 +339,7 @@ fn weights_are_drawn_from_a_list() {
 #[test]
 fn an_incremental_press_climbs_and_is_moved_sideways_at_each_level() {
     let timeline = carried_out(
-        "[[steps]]\nkind = \"places\"\nat = [[0.001, 0.0, 0.0]]\nforces = [0.1, 0.3, 0.4]\nincremental = true\nshear = 0.5\nshear_direction = 1.0",
+        "[[steps]]\nkind = \"locations\"\nat = [[0.001, 0.0, 0.0]]\nforces = [0.1, 0.3, 0.4]\nincremental = true\nshear = 0.5\nshear_direction = 1.0",
     )
     .unwrap();
     assert_eq!(timeline.presses(), 1);
@@ -406,7 +406,7 @@ fn a_grid_has_the_requested_pitch() {
     }
     assert!((nalgebra::center(&locations[0], &locations[locations.len() - 1]).coords).norm() < 1e-12);
     let refused = |from: &str, to: &str| carried_out(&steps.replace(from, to)).unwrap_err();
-    insta::assert_snapshot!(refused("[0.0007, 0.004]", "1e-6"), @"plan some.toml: field `steps[0].pitch`: makes 416042001 places; 1000000 contacts at most fit a recording");
+    insta::assert_snapshot!(refused("[0.0007, 0.004]", "1e-6"), @"plan some.toml: field `steps[0].pitch`: makes 416042001 locations; 1000000 contacts at most fit a recording");
     insta::assert_snapshot!(refused("[0.0007, 0.004]\nforces = [0.1]", "0.00003\nforces = [0.1, 0.2, 0.3]"), @"plan some.toml: field `steps`: make 1388934 contacts; 1000000 at most fit a recording");
     let text = format!("schema = \"dermis-plan/1\"\nname = \"some\"\ndiameter = 0.004\n{steps}");
     let on_a_dome = |pitch: &str| {
@@ -457,7 +457,7 @@ fn shear_lies_in_a_curved_surface_too() {
 #[test]
 fn named_locations_lie_on_the_surface() {
     let refused = |at: &str| {
-        carried_out(&format!("[[steps]]\nkind = \"places\"\nat = [[0.0, 0.0, 0.0], {at}]\nforces = [0.1]"))
+        carried_out(&format!("[[steps]]\nkind = \"locations\"\nat = [[0.0, 0.0, 0.0], {at}]\nforces = [0.1]"))
             .unwrap_err()
     };
     insta::assert_snapshot!(refused("[0.02, 0.0, 0.0]"), @"plan some.toml: field `steps[0].at[1]`: (0.02, 0, 0) m lies 0.005000 m off the surface");
@@ -467,7 +467,7 @@ fn named_locations_lie_on_the_surface() {
 
 #[test]
 fn a_step_may_be_done_at_another_speed_and_a_place_that_is_named_again_is_the_same() {
-    let place = "[[steps]]\nkind = \"places\"\nforces = [0.2]\nat = ";
+    let place = "[[steps]]\nkind = \"locations\"\nforces = [0.2]\nat = ";
     let timeline = carried_out(&format!(
         "{place}[[0.001, 0.0, 0.0], [0.003, 0.0, 0.0]]\n\
          {place}[[0.003, 0.0, 0.0]]\nload = [0.5, 0.5]\nunload = [0.3, 0.3]\ngap = [1.0, 1.0]\n\

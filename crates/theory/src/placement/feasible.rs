@@ -11,7 +11,7 @@ pub struct Feasibility {
     pub neighbours: usize,
     /// \[m\] that their centre may lie off the candidate, θ; further off, the candidate is at an edge.
     pub edge: f64,
-    /// Places where the skin is held.
+    /// Locations where the skin is held.
     pub held: Vec<Point3<f64>>,
     /// \[m\] around them where only small deformations occur.
     pub margin: f64,
@@ -29,7 +29,7 @@ pub enum Verdict {
     Held,
 }
 
-/// Judges places on a surface. A centre counts as far as it lies along the surface: that of points on a curved one lies below
+/// Judges locations on a surface. A centre counts as far as it lies along the surface: that of points on a curved one lies below
 /// it everywhere.
 #[must_use]
 pub fn feasible(surface: &Surface, locations: &[Point3<f64>], rule: &Feasibility) -> Vec<Verdict> {

@@ -102,7 +102,7 @@ impl Field {
         &self.locations[press / self.forces.len()]
     }
 
-    /// The same for some of the places.
+    /// The same for some of the locations.
     #[must_use]
     pub fn at(&self, locations: &[usize]) -> Self {
         let count = self.forces.len();

@@ -17,15 +17,15 @@ const POWER: f64 = 1.9;
 /// Variance of what is measured on top of the process, whose own is 1.
 const NUGGET: f64 = 1e-2;
 
-/// Covariances between places of a surface, exp(−(d/l)^1.9) of the distance along it (2.10).
+/// Covariances between locations of a surface, exp(−(d/l)^1.9) of the distance along it (2.10).
 #[derive(Debug, Clone)]
 pub struct GaussianField {
-    /// Between all places, with the nugget on the diagonal.
+    /// Between all locations, with the nugget on the diagonal.
     covariance: Mat<f64>,
     /// Place of each candidate; of several at one place the nearest.
     sites: Vec<(usize, usize)>,
     points: Vec<Point3<f64>>,
-    /// \[m\] between all places.
+    /// \[m\] between all locations.
     ways: Vec<Vec<f64>>,
     /// \[m\] of the kernel.
     pub length: f64,
@@ -93,7 +93,7 @@ impl GaussianField {
         Ok(Some(Self { covariance, sites, points, ways, length, nugget }))
     }
 
-    /// What is left of the covariance between all places and the candidates' once elements are chosen.
+    /// What is left of the covariance between all locations and the candidates' once elements are chosen.
     fn start(&self) -> (Vec<f64>, Vec<Vec<f64>>) {
         ((0..self.covariance.nrows()).map(|i| self.covariance[(i, i)]).collect(), Vec::new())
     }
@@ -104,7 +104,7 @@ impl GaussianField {
         let row: Vec<f64> = (0..variances.len())
             .map(|j| {
                 let known: f64 = factor.iter().map(|r| r[site] * r[j]).sum();
-                // What is measured on top of the process says nothing of other places.
+                // What is measured on top of the process says nothing of other locations.
                 (self.covariance[(site, j)] - known) / root
             })
             .collect();
@@ -140,7 +140,7 @@ impl GaussianField {
         Sets::nested(&order)
     }
 
-    /// Elements that say most of all other places (2.13): the one of the largest ratio between the variance that the chosen
+    /// Elements that say most of all other locations (2.13): the one of the largest ratio between the variance that the chosen
     /// leave of it and the one that all the others would.
     ///
     /// # Errors
@@ -151,7 +151,7 @@ impl GaussianField {
             .covariance
             .llt(Side::Lower)
             .map_err(|_| TheoryError::Decomposition { what: "the covariance of the surface" })?;
-        // Of the places that are not chosen: the variance of one that all others leave is 1 over its diagonal.
+        // Of the locations that are not chosen: the variance of one that all others leave is 1 over its diagonal.
         let mut precision = llt.inverse();
         let (mut variances, mut factor) = self.start();
         let (mut taken, mut order) = (Vec::new(), Vec::new());
@@ -173,7 +173,7 @@ impl GaussianField {
         Ok(Sets::nested(&order))
     }
 
-    /// How far out places lie: their mean distance along the surface from everywhere, over that of all candidates. Above 1 they
+    /// How far out locations lie: their mean distance along the surface from everywhere, over that of all candidates. Above 1 they
     /// lie towards the rim, below 1 towards the middle.
     #[must_use]
     pub fn outwardness(&self, locations: &[Point3<f64>]) -> f64 {

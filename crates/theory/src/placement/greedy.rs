@@ -51,7 +51,7 @@ struct Fold {
 struct Search {
     /// Standardised readings with noise, candidate by candidate.
     columns: Vec<Vec<f64>>,
-    /// Coordinates of the places in units of their largest spread, and that spread \[m\].
+    /// Coordinates of the locations in units of their largest spread, and that spread \[m\].
     targets: Vec<Vec<f64>>,
     scale: f64,
     folds: Vec<Fold>,

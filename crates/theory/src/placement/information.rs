@@ -1,12 +1,12 @@
 //! Placement by what elements tell of contacts: the Cramér–Rao bound of place and force, and what is left between the presses that
 //! an estimator has learnt.
 //!
-//! The bound is local and takes the model for known: it is blind to distant places that read alike, and to how an estimator
+//! The bound is local and takes the model for known: it is blind to distant locations that read alike, and to how an estimator
 //! fills in between the presses that it has learnt. Both show when every press is foretold from all the others: the mean of a
-//! Gaussian process from readings to places, whose errors on what is left out have a closed form (C. E. Rasmussen,
+//! Gaussian process from readings to locations, whose errors on what is left out have a closed form (C. E. Rasmussen,
 //! C. K. I. Williams, *Gaussian Processes for Machine Learning*, 2006, 5.4.2). The expected error of a press is the root of the
 //! sum of both squares. It takes the inverse of a matrix for every set of elements that is tried, so that all candidates are
-//! compared on few places first, and the best of them on many.
+//! compared on few locations first, and the best of them on many.
 
 use faer::linalg::triangular_inverse::invert_lower_triangular;
 use faer::{Mat, Par, Side};
@@ -24,11 +24,11 @@ pub struct BoundSettings {
     pub gamma: f64,
     /// Variance on top of the process, whose own is 1.
     pub ridge: f64,
-    /// Places that all candidates are compared on.
+    /// Locations that all candidates are compared on.
     pub coarse: usize,
-    /// Best of them that are compared on `fine` places.
+    /// Best of them that are compared on `fine` locations.
     pub closely: usize,
-    /// Places that those are compared on.
+    /// Locations that those are compared on.
     pub fine: usize,
 }
 
@@ -142,7 +142,7 @@ impl Problem {
     }
 
     /// \[m\] expected error, on average over the presses, once `element` is added. The root is taken press by press, so that
-    /// single bad places do not decide.
+    /// single bad locations do not decide.
     fn score(&self, state: &State, element: usize) -> f64 {
         let [xx, _, yy, ..] = &state.covariance;
         let left = match self.process {
@@ -159,7 +159,7 @@ impl Problem {
     }
 
     /// \[m²\] how far off every press is foretold from the others by the mean of a process: with K the covariance of the readings
-    /// and b the presses at one place, K⁻¹[b, b]⁻¹ (K⁻¹ Y)[b], Y the places from their middle.
+    /// and b the presses at one place, K⁻¹[b, b]⁻¹ (K⁻¹ Y)[b], Y the locations from their middle.
     fn left_out(&self, state: &State, element: usize, (gamma, ridge): (f32, f32)) -> Vec<f32> {
         let n = self.presses;
         let read = &self.readings[element];
@@ -205,7 +205,7 @@ impl Problem {
     }
 }
 
-/// As many of the places, evenly.
+/// As many of the locations, evenly.
 fn thinned(field: &Field, most: usize) -> Field {
     let (all, most) = (field.locations.len(), most.clamp(1, field.locations.len().max(1)));
     field.at(&(0..most).map(|n| n * all / most).collect::<Vec<_>>())
@@ -254,7 +254,7 @@ pub fn by_bound(
     Some(Sets::nested(&order))
 }
 
-/// \[m\] what [`by_bound`] makes least, of any elements; the spread of the places where there are none.
+/// \[m\] what [`by_bound`] makes least, of any elements; the spread of the locations where there are none.
 #[must_use]
 pub fn expected_error(field: &Field, elements: &[usize], settings: &BoundSettings) -> f64 {
     let problem = Problem::new(field, settings);

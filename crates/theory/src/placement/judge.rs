@@ -17,9 +17,9 @@ pub struct JudgeSettings {
     pub folds: usize,
     /// Presses that it uses at most.
     pub chosen_on: usize,
-    /// Each draws its own noise and its own `taught` share of the places.
+    /// Each draws its own noise and its own `taught` share of the locations.
     pub seeds: Vec<u64>,
-    /// Share of the places that teach, of those that may.
+    /// Share of the locations that teach, of those that may.
     pub taught: f64,
     /// Failed elements, at most.
     pub failures: usize,
@@ -27,7 +27,7 @@ pub struct JudgeSettings {
     pub draws: usize,
 }
 
-/// What a support vector regression of places may be, from smooth to close.
+/// What a support vector regression of locations may be, from smooth to close.
 pub(super) fn estimators() -> Vec<SvrSettings> {
     let pairs = [1.0, 3.0, 10.0].into_iter().flat_map(|gamma| [10.0, 100.0].map(|c| (gamma, c)));
     pairs.map(|(gamma, c)| SvrSettings { gamma, c, ..SvrSettings::default() }).collect()
@@ -52,7 +52,7 @@ impl Default for JudgeSettings {
 pub struct ByCount {
     /// Elements.
     pub elements: usize,
-    /// \[m\] mean over the places that were held out, seed by seed.
+    /// \[m\] mean over the locations that were held out, seed by seed.
     pub errors: Vec<f64>,
     /// \[m\] mean of the above.
     pub mean: f64,
@@ -103,7 +103,7 @@ fn summary(values: &[f64]) -> (f64, f64) {
     (mean, quantile * (variance / count).sqrt())
 }
 
-/// Presses of one seed: readings with noise, and the places.
+/// Presses of one seed: readings with noise, and the locations.
 struct Draw {
     teach: DMatrix<f64>,
     teach_locations: Vec<f64>,
@@ -138,7 +138,7 @@ impl Draw {
         let inputs = Self::rows(&self.teach, elements);
         Svr::fit(
             Rows::new(&inputs, elements.len(), "the readings")?,
-            Rows::new(&self.teach_locations, 3, "the places")?,
+            Rows::new(&self.teach_locations, 3, "the locations")?,
             settings,
         )
     }
@@ -176,7 +176,7 @@ impl Draw {
                 );
                 let svr = Svr::fit(
                     Rows::new(&x, width, "the readings")?,
-                    Rows::new(&y, 3, "the places")?,
+                    Rows::new(&y, 3, "the locations")?,
                     estimator,
                 )?;
                 for r in (0..rows).filter(|r| fold[*r] == k) {
@@ -237,7 +237,7 @@ fn failing(count: usize, failed: usize, draw: usize, seed: u64) -> Vec<usize> {
     order
 }
 
-/// Trains the estimator on the presses of `teach` and evaluates it on those of `ask`, which are at other places. `None` where `watch`
+/// Trains the estimator on the presses of `teach` and evaluates it on those of `ask`, which are at other locations. `None` where `watch`
 /// stopped it.
 ///
 /// # Errors

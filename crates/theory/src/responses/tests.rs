@@ -51,7 +51,7 @@ fn isolines_are_those_of_signals() {
 
 #[test]
 fn presses_give_what_the_model_does() {
-    // Presses at random places of a row, each with noise.
+    // Presses at random locations of a row, each with noise.
     let model = row(6);
     let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(1);
     let (location, force) = (Uniform::new(-0.018, 0.018).unwrap(), Uniform::new(0.01, 1.5).unwrap());

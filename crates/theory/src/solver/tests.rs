@@ -8,7 +8,7 @@ use super::*;
 use crate::over_surface;
 use crate::testing::{dome, grid, ideal, read, row, thesis_row};
 
-/// Root mean square of the position error \[m\] of noisy frames at random places, and how many are not solved.
+/// Root mean square of the position error \[m\] of noisy frames at random locations, and how many are not solved.
 fn errors(
     model: &Analytic,
     solver: &IsolineSolver,
@@ -130,7 +130,7 @@ fn three_taxels_beat_two_in_an_elastic_layer_where_crossings_are_weighted() {
         // Two taxels on the same side of a contact have nearly parallel isolines here: what the thesis averages spoils it.
         assert!(of(&plain, 3) > 2.0 * two);
     }
-    // The isolines of the design, on devices whose gains and places are off: the error is theirs, not that of noise.
+    // The isolines of the design, on devices whose gains and locations are off: the error is theirs, not that of noise.
     let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(4);
     let (mut two, mut three) = (0.0, 0.0);
     for _ in 0..8 {

@@ -39,7 +39,7 @@ impl Device {
             .collect()
     }
 
-    /// Tips at random places, every other one on an electrode, that press as hard as the panel is built for.
+    /// Tips at random locations, every other one on an electrode, that press as hard as the panel is built for.
     fn touches(&mut self, tips: usize) -> Stimulus {
         let rated = self.skin.rated_press();
         let press = |rng: &mut ChaCha8Rng| {

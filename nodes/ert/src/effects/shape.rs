@@ -35,8 +35,8 @@ fn fabric(info: &EffectInfo, effect: &Effect, p: &mut Parameters) -> Result<(), 
             p.resistance.iter_mut().for_each(|r| *r *= factor);
         }
         "sheet-field" => {
-            let places = (0..p.grid.count()).map(|node| p.grid.position(node));
-            let field = random_field(effect, value("length"), places);
+            let locations = (0..p.grid.count()).map(|node| p.grid.position(node));
+            let field = random_field(effect, value("length"), locations);
             let spread = strength * value("spread");
             p.field = Some(field.into_iter().map(|deviation| (spread * deviation).exp()).collect());
         }

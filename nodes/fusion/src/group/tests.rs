@@ -57,7 +57,7 @@ fn two_tracks_of_one_touch_become_one_and_those_of_one_skin_never() {
         group.take(frame(1, 10 * k + 3, &[(7, x)]), &s);
     }
     assert_eq!(shown(&mut group, &mut identities, 595), [(1, 2)], "the older identity stays");
-    // The same two places from one skin.
+    // The same two locations from one skin.
     let (mut group, mut identities) = (Group::default(), Identities::default());
     for k in 0..50 {
         group.take(frame(0, 10 * k, &[(1, 0.0), (2, 0.001)]), &s);

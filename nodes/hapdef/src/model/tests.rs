@@ -249,7 +249,7 @@ fn a_mesh_from_a_file_is_a_shell_like_the_panel_it_was_drawn_from() {
         (read(&MODEL, vec![press(&MODEL, place, 10.0)]), read(&drawn, vec![press(&drawn, place, 10.0)]));
     let most = a.iter().copied().map(f64::abs).fold(0.0, f64::max);
     for (a, b) in a.iter().zip(&b) {
-        // Places lie on chords there, and on arcs here.
+        // Locations lie on chords there, and on arcs here.
         assert_relative_eq!(a, b, epsilon = 0.05 * most);
     }
     // Without saying where it is held, a mesh is no shell.

@@ -135,11 +135,11 @@ fn finish(info: &EffectInfo, effect: &Effect, p: &mut Parameters) -> Result<(), 
     let value = |name: &str| info.value(effect, name);
     match info.name {
         "albedo-field" => {
-            let places = (0..p.grid.count()).map(|node| {
+            let locations = (0..p.grid.count()).map(|node| {
                 let [s, azimuth] = p.grid.place(node);
                 <[f64; 3]>::from(inside(&p.elastomer, s, azimuth).0.coords)
             });
-            let field = random_field(effect, value("length"), places);
+            let field = random_field(effect, value("length"), locations);
             let spread = strength * value("spread");
             p.texture.albedo = field.into_iter().map(|by| (spread * by).exp()).collect();
         }

@@ -1,7 +1,7 @@
 //! What pixels at the ends of their scale keep from the numbers of a frame.
 //!
 //! Problem: [`Numbers`](super::numbers::Numbers) add up what changes, as if each pixel stayed as open or as saturated as it is where nothing
-//! touches. A strong touch turns bright places away from the lamps and dark ones towards them: pixels leave the end of their scale and reach it,
+//! touches. A strong touch turns bright locations away from the lamps and dark ones towards them: pixels leave the end of their scale and reach it,
 //! and numbers near the camera would be up to a seventh too large. Method: pixels are sorted by the cell of the grid that they see; where the
 //! changes at a cell's four nodes can bring none of its pixels to an end of the scale or away from it, nothing is done, elsewhere each pixel is
 //! cut as it is in a picture. Assumptions: noise is small beside the scale. Cost: ten products for each cell that changes, and fifty for each

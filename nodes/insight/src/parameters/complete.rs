@@ -40,7 +40,7 @@ pub fn complete(skin: &mut SkinDescription) -> Result<(), FieldFault> {
     Ok(())
 }
 
-/// The places of the inside that the middles of blocks see.
+/// The locations of the inside that the middles of blocks see.
 fn taxels(parameters: &Parameters) -> Vec<Taxel> {
     let Parameters { camera, elastomer, blocks, .. } = parameters;
     let see = |i: u32| {

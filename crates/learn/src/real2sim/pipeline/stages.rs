@@ -3,7 +3,7 @@
 //! | stage | samples | loss |
 //! |---|---|---|
 //! | transfer | recorded single contacts, and what the simulation reads of the same contacts | squared error (thesis, eq. 3.1) |
-//! | reconstruction | simulated scenes of one to four contacts at places of their own | squared error (eq. 3.2) |
+//! | reconstruction | simulated scenes of one to four contacts at locations of their own | squared error (eq. 3.2) |
 //! | sensitivity | peaks of reconstructed maps that lie near a recorded contact | squared error (eq. 3.3), of the force or its logarithm |
 //!
 //! Cost: the reconstruction takes nearly all of it, six operations a weight, sample and epoch.
@@ -65,7 +65,7 @@ pub struct Stages<'a> {
 }
 
 impl Stages<'_> {
-    /// All stages. `recorded` is learned from; `choose` (single contacts at other places) is what errors of the transfer are
+    /// All stages. `recorded` is learned from; `choose` (single contacts at other locations) is what errors of the transfer are
     /// measured on.
     ///
     /// # Errors
@@ -133,7 +133,7 @@ impl Stages<'_> {
         self.settings.validate("settings")?;
         if recorded.is_empty() || choose.is_empty() {
             return Err(wrong(
-                "no single contact of known place, force and tip was recorded at some places to learn from and at others to choose by",
+                "no single contact of known place, force and tip was recorded at some locations to learn from and at others to choose by",
             ));
         }
         if self.settings.superpose > 1 && !self.model.superposes() {
@@ -253,9 +253,9 @@ impl Stages<'_> {
         })
     }
 
-    /// Root mean square \[m\] over whole maps of simulated contacts at held-out places, by their number from 1 on.
+    /// Root mean square \[m\] over whole maps of simulated contacts at held-out locations, by their number from 1 on.
     fn map_rms(&self, reconstruction: &NetMap, basis: &MapBasis) -> Result<Vec<f64>, LearnError> {
-        (self.progress)("maps of held-out places", 0.0);
+        (self.progress)("maps of held-out locations", 0.0);
         let points = self.model.surface().points.len();
         let of = |contacts: usize| {
             let drawn = self.scenes.draw(Part::Test, contacts, JUDGED);
@@ -289,7 +289,9 @@ impl Stages<'_> {
             peaks.extend(of_known_force(stimulus, &found, self.model.as_ref()));
         }
         if peaks.is_empty() {
-            return Err(wrong("no peak of the reconstructed maps lies near a contact: record more places"));
+            return Err(wrong(
+                "no peak of the reconstructed maps lies near a contact: record more locations",
+            ));
         }
         let how = (&self.settings.sensitivity, &self.settings.sensitivity_training);
         let states = self.states.map(|states| states.of(&self.sensors.describe()));

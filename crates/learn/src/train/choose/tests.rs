@@ -61,9 +61,9 @@ fn who_errs_least_is_kept_and_answers_from_the_bundle() {
     }
     assert_ne!(choice.kept["position"], Candidate::Network, "{choice}");
     assert_ne!(choice.kept["force"], Candidate::Network, "{choice}");
-    // Places are 0.6 mm apart over 10 mm, forces 1 to 5 N, and nothing is noisy.
+    // Locations are 0.6 mm apart over 10 mm, forces 1 to 5 N, and nothing is noisy.
     let figures = outcome.held_out.figures();
-    // Three places are held out, sometimes at the ends; who knows nothing is 3 mm off.
+    // Three locations are held out, sometimes at the ends; who knows nothing is 3 mm off.
     assert!(figures["position_found_rms"] < 1.5e-3, "{}", outcome.held_out);
     assert!(figures["force_normal_found_rms"] < 0.3, "{}", outcome.held_out);
     let card: serde_json::Value =

@@ -67,7 +67,7 @@ pub struct Row {
     pub method: String,
     /// [`Kind::name`].
     pub kind: &'static str,
-    /// Errors on every frame, where `errors` leaves out those of places that hardly give way.
+    /// Errors on every frame, where `errors` leaves out those of locations that hardly give way.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub with_everything: Option<Errors>,
     /// Errors on what was requested.
@@ -83,7 +83,7 @@ pub struct Row {
     pub evaluation: Option<Evaluation>,
 }
 
-/// Touched frames that are compared, by kind; those of places that give way among them; and what is left out of the latter.
+/// Touched frames that are compared, by kind; those of locations that give way among them; and what is left out of the latter.
 pub(in crate::real2sim) struct Targets {
     pub(in crate::real2sim) all: BTreeMap<Kind, Vec<SampleId>>,
     pub(in crate::real2sim) kept: Option<BTreeSet<SampleId>>,

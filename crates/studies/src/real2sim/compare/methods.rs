@@ -115,7 +115,7 @@ impl Tuned {
         let mut better =
             refine::settings(corrected.as_ref(), learned, choose, Unknowns::Normal, options.contacts)?;
         (better.distance, better.force_prior) = (plain.distance, plain.force_prior);
-        // Gains are in the correction; measured once more on a few places they would only add noise.
+        // Gains are in the correction; measured once more on a few locations they would only add noise.
         better.gains.clear();
         progress.begin("how much evidence a contact needs");
         let pairs: Vec<_> = (1..=3).flat_map(|n| superpose(model.as_ref(), chosen, n, 60, FAR, 77)).collect();
@@ -160,7 +160,7 @@ fn inverter(model: &Arc<dyn ForwardModel>, settings: &Settings) -> Result<Invert
 
 type Sum = (dermis_model::Stimulus, Vec<f32>);
 
-/// Penalty and share that give the right number most often, and places that are nearest.
+/// Penalty and share that give the right number most often, and locations that are nearest.
 fn tune_sparse(inverter: &Inverter, frames: &[Sum]) -> Result<SparseSettings> {
     let mut best = (f64::NEG_INFINITY, SparseSettings::default());
     for penalty in [3e-4, 1e-3, 3e-3, 1e-2, 3e-2] {

@@ -1,11 +1,11 @@
 //! Where to press a skin.
 //!
-//! Problem: places that a few presses should be spread over, so that every channel is heard and no two presses say the same. Method:
+//! Problem: locations that a few presses should be spread over, so that every channel is heard and no two presses say the same. Method:
 //! a maximin design (Johnson, Moore and Ylvisaker 1990) chosen one place after another, each as far as can be from those before
-//! (Kennard and Stone 1969), where the distance of two places is that of what the skin reads there, in shares of both: so the skin's own
+//! (Kennard and Stone 1969), where the distance of two locations is that of what the skin reads there, in shares of both: so the skin's own
 //! sensitivity says how finely its surface is resolved. What is hardly read is not pressed.
 //!
-//! Cost: one response for each candidate, and candidates × places distances.
+//! Cost: one response for each candidate, and candidates × locations distances.
 
 use dermis_model::{ForwardModel, Indentation, Stimulus};
 use nalgebra::{Point3, Vector3};
@@ -13,13 +13,13 @@ use nalgebra::{Point3, Vector3};
 use crate::GapError;
 use crate::constants::protocol::{CANDIDATES, SEEN};
 
-/// Places \[m\] that say most of a skin, the first the one that it feels best; at most `count`. `may` says where it may be pressed at
+/// Locations \[m\] that say most of a skin, the first the one that it feels best; at most `count`. `may` says where it may be pressed at
 /// all; `force` \[N\] and `tip` \[m\] are those of an ordinary press.
 ///
 /// # Errors
 ///
 /// [`GapError::Model`] where the model has no answer at any place.
-pub fn places(
+pub fn locations(
     model: &dyn ForwardModel,
     (force, tip): (f64, f64),
     count: usize,
@@ -79,7 +79,7 @@ mod tests {
     #[test]
     fn places_begin_above_what_feels_best_and_spread_from_there() {
         let model = small(&skin(), 300.0).unwrap();
-        let found = places(model.as_ref(), (0.5, 0.004), 9, |_| true).unwrap();
+        let found = locations(model.as_ref(), (0.5, 0.004), 9, |_| true).unwrap();
         assert_eq!(found.len(), 9);
         // Three taxels, each of which is pressed nearby.
         for taxel in [[-0.009, -0.004], [0.0, 0.005], [0.009, -0.004]] {
@@ -88,7 +88,7 @@ mod tests {
         }
         let apart = |i: usize| found[..i].iter().map(|p| (p - found[i]).norm()).fold(1.0, f64::min);
         assert!((1..9).all(|i| apart(i) > 0.003), "{found:?}");
-        let right = places(model.as_ref(), (0.5, 0.004), 9, |p| p.x > 0.0).unwrap();
+        let right = locations(model.as_ref(), (0.5, 0.004), 9, |p| p.x > 0.0).unwrap();
         assert!(right.iter().all(|p| p.x > 0.0));
     }
 }
