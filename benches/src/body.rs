@@ -1,4 +1,5 @@
-//! What a body costs across processes: eight skins at 1 kHz, a node for each, the fusion, and a subscriber, all processes of their own.
+//! What a body costs: eight skins at 1 kHz, a node for each, the fusion, and a subscriber: processes of their own, and once more with
+//! nodes and fusion in one process.
 //!
 //! Device (in this process) → node of the skin → fusion → subscriber. The delay of a frame is from its last byte to the first message of the
 //! body that says of its skin that this was its latest frame. The fusion answers at most 1,000 times a second, and a frame that a later one
@@ -46,7 +47,19 @@ pub struct Options {
     rate: f64,
 }
 
-/// Runs it over each backend that this machine has, and prints the table.
+/// How the nodes are started.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Layout {
+    /// Each in a process of its own.
+    Apart,
+    /// All in one.
+    Together,
+}
+
+/// Name of the row where all nodes share a process.
+const TOGETHER: &str = "one process";
+
+/// Runs it over each backend that this machine has, and once in one process, and prints the table.
 ///
 /// # Errors
 ///
@@ -54,20 +67,23 @@ pub struct Options {
 pub fn run(options: &Options) -> Result<Value> {
     let bundle = learned_only(&options.programs.root)?;
     let mut measured = Vec::new();
-    for (i, (name, backend, programs)) in options.programs.rows().enumerate() {
+    let apart =
+        options.programs.rows().map(|(name, backend, programs)| (name, backend, programs, Layout::Apart));
+    let together = (TOGETHER, Choice::Hiroz, options.programs.programs.as_path(), Layout::Together);
+    for (i, (name, backend, programs, layout)) in apart.chain([together]).enumerate() {
         eprintln!("measuring {name}");
-        let mut row = measure(options, backend, programs, bundle.path(), domain_of(i))
+        let mut row = measure(options, (backend, programs, layout), bundle.path(), domain_of(i))
             .with_context(|| name.to_owned())?;
         row["name"] = json!(name);
         measured.push(row);
     }
     eprintln!(
-        "\n{:<16} {:>8} {:>8} {:>8} {:>10} {:>12} {:>13}",
-        "", "p50 ms", "p99 ms", "max ms", "overtaken", "nodes, cores", "fusion, cores"
+        "\n{:<16} {:>8} {:>8} {:>8} {:>10} {:>12} {:>13} {:>10}",
+        "", "p50 ms", "p99 ms", "max ms", "overtaken", "nodes, cores", "fusion, cores", "all, cores"
     );
     for row in &measured {
         eprintln!(
-            "{:<16} {:>8} {:>8} {:>8} {:>10} {:>12} {:>13}",
+            "{:<16} {:>8} {:>8} {:>8} {:>10} {:>12} {:>13} {:>10}",
             row["name"].as_str().unwrap_or_default(),
             number(&row["p50_ms"], 3),
             number(&row["p99_ms"], 3),
@@ -75,11 +91,13 @@ pub fn run(options: &Options) -> Result<Value> {
             number(&row["overtaken"], 4),
             number(&row["nodes_cores"], 3),
             number(&row["fusion_cores"], 3),
+            number(&row["cores"], 3),
         );
     }
     Ok(json!({
         "skins": SKINS, "rate_hz": options.rate, "seconds": options.seconds,
-        "hiroz": named(&measured, HIROZ), "r2r": named(&measured, R2R), "rows": measured,
+        "hiroz": named(&measured, HIROZ), "r2r": named(&measured, R2R), "one_process": named(&measured, TOGETHER),
+        "rows": measured,
     }))
 }
 
@@ -111,27 +129,52 @@ impl Sender {
     }
 }
 
-fn measure(options: &Options, backend: Choice, programs: &Path, model: &Path, domain: u16) -> Result<Value> {
+fn measure(
+    options: &Options,
+    (backend, programs, layout): (Choice, &Path, Layout),
+    model: &Path,
+    domain: u16,
+) -> Result<Value> {
     let file = options.programs.root.join(SKIN);
     let skin = SkinDescription::load(&file)?;
     let folder = tempfile::tempdir()?;
     let robot = write_robot(folder.path(), SKINS)?;
     let (_subscriber, arrivals) = start_body(backend, domain, "/body_contacts")?;
-    let mut fusion = Command::new(programs.join("dermis"));
-    fusion.arg("fusion").arg("--robot").arg(&robot).arg("--assume-rest");
-    fusion.args(["--backend", backend.name()]).env("DERMIS_LOG", "error");
-    let fusion = spawn(&mut fusion, domain)?;
+    let program = || {
+        let mut command = Command::new(programs.join("dermis"));
+        command.env("DERMIS_LOG", "error");
+        command
+    };
+    let mut fusion = program();
+    fusion.arg("fusion").arg("--robot").arg(&robot).arg("--assume-rest").args(["--backend", backend.name()]);
     let pressed = Arc::new(AtomicBool::new(false));
-    let (mut nodes, mut senders) = (Vec::new(), Vec::new());
+    let (mut commands, mut devices) = (Vec::new(), Vec::new());
     for i in 0..SKINS {
         let device = Device::new(&skin, i as u64 + 1)?;
         let mut node = skin_node(programs, backend, (&file, model), &device);
         node.args(["--namespace", &format!("/s{i}"), "--instance", &format!("s{i}")]);
         node.args(["--frame-id", &format!("s{i}_skin")]);
-        nodes.push(spawn(&mut node, domain)?);
-        senders.push(Sender::start(device, options.rate, Arc::clone(&pressed)));
+        commands.push(node);
+        devices.push(device);
     }
-    let found = observe(options, &arrivals, &pressed, &nodes, &fusion);
+    let (nodes, fusion) = match layout {
+        Layout::Apart => {
+            let fusion = spawn(&mut fusion, domain)?;
+            let nodes = commands.iter_mut().map(|node| spawn(node, domain)).collect::<Result<Vec<_>>>()?;
+            (nodes, Some(fusion))
+        }
+        Layout::Together => {
+            let mut container = program();
+            container.arg("container").args(fusion.get_args());
+            for node in &commands {
+                container.arg("--").args(node.get_args());
+            }
+            (vec![spawn(&mut container, domain)?], None)
+        }
+    };
+    let senders: Vec<Sender> =
+        devices.into_iter().map(|device| Sender::start(device, options.rate, Arc::clone(&pressed))).collect();
+    let found = observe(options, &arrivals, &pressed, &nodes, fusion.as_ref());
     let sent: Vec<Vec<i64>> = senders.into_iter().map(Sender::end).collect::<Result<_>>()?;
     let Observed { seen, within, mut row } = found?;
     let (mut ms, mut frames) = (Vec::new(), 0_usize);
@@ -173,7 +216,7 @@ fn observe(
     arrivals: &Receiver<Arrival>,
     pressed: &AtomicBool,
     nodes: &[Process],
-    fusion: &Process,
+    fusion: Option<&Process>,
 ) -> Result<Observed> {
     std::thread::sleep(SETTLING);
     pressed.store(true, Ordering::Relaxed);
@@ -187,13 +230,16 @@ fn observe(
     }
     std::thread::sleep(SETTLING);
     arrivals.try_iter().for_each(drop);
-    let cpu = |of: &[Process]| of.iter().map(|p| cpu_time(&p.0)).sum::<Result<Duration>>();
-    let before = (cpu(nodes)?, cpu_time(&fusion.0)?);
+    let of_nodes = || nodes.iter().map(|p| cpu_time(&p.0)).sum::<Result<Duration>>();
+    let of_fusion = || fusion.map(|p| cpu_time(&p.0)).transpose();
+    let before = (of_nodes()?, of_fusion()?);
     let (first, begun) = (now_ns(), Instant::now());
     std::thread::sleep(Duration::from_secs_f64(options.seconds));
     let within = first..now_ns();
     let wall = begun.elapsed().as_secs_f64();
-    let (of_nodes, of_fusion) = (cpu(nodes)? - before.0, cpu_time(&fusion.0)? - before.1);
+    let cores = |spent: Duration| spent.as_secs_f64() / wall;
+    let nodes_cores = cores(of_nodes()? - before.0);
+    let fusion_cores = of_fusion()?.zip(before.1).map(|(now, before)| cores(now - before));
     // The last ones are still on their way.
     std::thread::sleep(Duration::from_millis(200));
     let seen: Vec<Arrival> = arrivals.try_iter().collect();
@@ -201,8 +247,9 @@ fn observe(
     let row = json!({
         "messages_per_s": seen.len() as f64 / SKINS as f64 / wall,
         "not_all_felt": without as f64 / seen.len().max(1) as f64,
-        "nodes_cores": of_nodes.as_secs_f64() / wall,
-        "fusion_cores": of_fusion.as_secs_f64() / wall,
+        "nodes_cores": nodes_cores,
+        "fusion_cores": fusion_cores,
+        "cores": nodes_cores + fusion_cores.unwrap_or(0.0),
     });
     Ok(Observed { seen, within, row })
 }

@@ -6,7 +6,7 @@ use dermis_bridge_zenoh::{Bridge, BridgeConfig};
 use dermis_node::{NetworkChoice, Node, NodeOptions, Reach};
 use dermis_perception::cli::NetworkArguments;
 
-use crate::backend::Choice;
+use crate::backend::{Backends, Choice};
 
 /// Where the bridge appears.
 #[derive(Args)]
@@ -38,14 +38,14 @@ pub struct Options {
 }
 
 /// Runs until Ctrl-C.
-pub async fn run(options: Options) -> Result<()> {
+pub async fn run(options: Options, backends: &Backends) -> Result<()> {
     let network = options.network.choice();
     let ros = match options.ros_network {
         Some(reach) => NetworkChoice { network: Some(reach), zenoh_config: None },
         None => network.clone(),
     };
     let node_options = NodeOptions::new("dermis_bridge").network(ros);
-    let node = Node::open(node_options, options.backend.open()?.as_ref())?;
+    let node = Node::open(node_options, backends.open(options.backend)?.as_ref())?;
     let config = BridgeConfig {
         robot: options.robot,
         mode: options.mode,

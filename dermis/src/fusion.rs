@@ -3,7 +3,7 @@
 use anyhow::Result;
 use clap::Args;
 
-use crate::backend::Choice;
+use crate::backend::{Backends, Choice};
 
 /// The robot and its skins.
 #[derive(Args)]
@@ -16,7 +16,7 @@ pub struct Options {
 }
 
 /// Runs until Ctrl-C, or until it is shut down through its lifecycle.
-pub async fn run(options: Options) -> Result<()> {
+pub async fn run(options: Options, backends: &Backends) -> Result<()> {
     let config = options.arguments.into_config()?;
-    Ok(dermis_fusion::run(&config, options.backend.open()?.as_ref()).await?)
+    Ok(dermis_fusion::run(&config, backends.open(options.backend)?.as_ref()).await?)
 }

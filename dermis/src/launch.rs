@@ -108,20 +108,22 @@ struct Dermis {
     program: PathBuf,
 }
 
+fn parse(arguments: &[String]) -> Result<crate::Cli, clap::Error> {
+    crate::Cli::try_parse_from(std::iter::once("dermis").chain(arguments.iter().map(String::as_str)))
+}
+
 impl Host for Dermis {
     fn program(&self) -> &Path {
         &self.program
     }
 
     fn check(&self, arguments: &[String]) -> Result<(), String> {
-        let all = std::iter::once("dermis").chain(arguments.iter().map(String::as_str));
-        crate::Cli::try_parse_from(all).map(drop).map_err(|error| {
-            let text = error.to_string();
-            let sentence = text.split("\nUsage:").next().unwrap_or_default();
-            let sentence = sentence.split_whitespace().collect::<Vec<_>>().join(" ");
-            let sentence = sentence.trim_start_matches("error: ");
-            format!("`dermis {}`: {sentence}", arguments.join(" "))
-        })
+        let refused = |error| format!("`dermis {}`: {}", arguments.join(" "), crate::sentence(&error));
+        parse(arguments).map(drop).map_err(refused)
+    }
+
+    fn can_share(&self, arguments: &[String]) -> bool {
+        parse(arguments).is_ok_and(|cli| crate::container::can_share(&cli.command))
     }
 
     fn network(&self, text: &str) -> Result<(), String> {

@@ -19,6 +19,7 @@ mod bridge;
 mod bundle;
 mod collect;
 mod compare;
+mod container;
 mod demo;
 mod device;
 mod doctor;
@@ -56,6 +57,8 @@ use dermis_io::pipe::ReaderGone;
 use dermis_operate::OperateError;
 use dermis_sensor::Registry;
 
+use backend::Backends;
+
 #[derive(Parser)]
 #[command(
     name = "dermis",
@@ -80,6 +83,8 @@ enum Command {
     Reflex(reflex::Options),
     /// Merge the contacts of all skins of a robot into one list for its body, with wrenches and joint torques.
     Fusion(Box<fusion::Options>),
+    /// Run several nodes in one process, where a message from one to another crosses no socket.
+    Container(container::Options),
     /// Start what a launch file names, keep it running, and gather what it says.
     Launch(launch::Options),
     #[command(name = launch::GUARD, hide = true)]
@@ -127,7 +132,7 @@ enum Command {
     Validate(validate::Options),
     /// What makes a device differ from its design: the effects that a sensor family knows.
     Effects(effects::Options),
-    /// Where to put sensing elements, of thousands of places where they could be.
+    /// Where to put sensing elements, of thousands of locations where they could be.
     #[command(alias = "place")]
     OptimizePlacement(Box<placement::Options>),
     /// Where a simulated skin and a real one differ, which effect makes them, and how far that reduces the difference.
@@ -169,6 +174,7 @@ pub fn run(sensors: &'static Registry) -> ExitCode {
         | Command::Reflex(_)
         | Command::Fusion(_)
         | Command::Bridge(_)
+        | Command::Container(_)
         | Command::Device(_) => "info",
         _ => "warn",
     };
@@ -182,14 +188,16 @@ pub fn run(sensors: &'static Registry) -> ExitCode {
     let limit = log::start(format, level);
     // What a model computes once is kept for every command; nodes receive it by their parameters.
     dermis_skin::cache::use_folder(dermis_skin::cache::usual_folder());
+    let apart = Backends::default();
     let done = match cli.command {
         Command::Demo(options) => demo::run(&options),
-        Command::Node(node) => block_on(nodes::run(node)),
-        Command::Reflex(options) => block_on(reflex::run(options)),
-        Command::Fusion(options) => block_on(fusion::run(*options)),
+        Command::Node(node) => block_on(nodes::run(node, &apart)),
+        Command::Reflex(options) => block_on(reflex::run(options, &apart)),
+        Command::Fusion(options) => block_on(fusion::run(*options, &apart)),
         Command::Watch(options) => block_on(watch::run(options)),
-        Command::Bridge(options) => block_on(bridge::run(options)),
+        Command::Bridge(options) => block_on(bridge::run(options, &apart)),
         Command::Device(device) => device::run(&device),
+        Command::Container(options) => block_on(container::run(options)),
         Command::Launch(options) => block_on(launch::run(&options, format)),
         Command::LaunchGuard => {
             launch::guard();
@@ -203,7 +211,9 @@ pub fn run(sensors: &'static Registry) -> ExitCode {
         Command::Compare(options) => compare::run(&options),
         Command::Real2Sim(command) => real2sim::run(&command),
         Command::Bundle(bundle) => bundle::run(&bundle),
-        Command::Record(options) => block_on(record::run(*options)),
+        Command::Record(options) => {
+            block_on(async { record::run(*options, &apart, interrupt::ended()?).await })
+        }
         Command::Play(options) => block_on(play::run(*options)),
         Command::Bag(bag) => bags::run(&bag),
         Command::Bounds(options) => bounds::run(&options),
@@ -252,6 +262,14 @@ fn report(error: &anyhow::Error, format: log::Format) {
         log::Format::Human => eprintln!("dermis: {}", sentences.join("\n  because ")),
         log::Format::Json => tracing::error!("{}", sentences.join(", because ")),
     }
+}
+
+/// What clap refuses, as one sentence.
+fn sentence(error: &clap::Error) -> String {
+    let text = error.to_string();
+    let sentence = text.split("\nUsage:").next().unwrap_or_default();
+    let sentence = sentence.split_whitespace().collect::<Vec<_>>().join(" ");
+    sentence.trim_start_matches("error: ").to_owned()
 }
 
 /// Runs asynchronous work on a runtime of its own.

@@ -6,7 +6,7 @@ use dermis_operate::launching;
 use dermis_sensor::Sensor;
 use dermis_skin::SkinDescription;
 
-use crate::backend::Choice;
+use crate::backend::{Backends, Choice};
 use crate::registry::sensors;
 
 /// The node of one skin.
@@ -62,13 +62,13 @@ impl Subcommand for Node {
 }
 
 /// Runs until Ctrl-C, or until it is shut down through its lifecycle.
-pub async fn run(Node { sensor, options }: Node) -> Result<()> {
+pub async fn run(Node { sensor, options }: Node, backends: &Backends) -> Result<()> {
     let config = options.arguments.into_config()?;
     let sensor = match sensor {
         Some(sensor) => sensor,
         None => crate::registry::family(&SkinDescription::load(&config.skin)?)?,
     };
-    dermis_perception::run(sensor, &config, options.backend.open()?.as_ref()).await.map_err(|error| {
+    dermis_perception::run(sensor, &config, backends.open(options.backend)?.as_ref()).await.map_err(|error| {
         match launching::reader(&error, sensors()) {
             Some(command) => anyhow!("{error}; `dermis {command}` reads it"),
             None => error.into(),

@@ -13,7 +13,7 @@ use dermis_operate::record::{Request, Watcher, record};
 use dermis_report::recording as report;
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::backend::Choice;
+use crate::backend::{Backends, Choice};
 
 /// What to record, and how.
 #[derive(Args)]
@@ -28,11 +28,10 @@ pub struct Options {
     json: bool,
 }
 
-/// Runs until Ctrl-C, SIGTERM or the end of its time.
-pub async fn run(options: Options) -> Result<()> {
-    let end = crate::interrupt::ended()?;
+/// Runs until `end` or the end of its time.
+pub async fn run(options: Options, backends: &Backends, end: impl Future<Output = ()>) -> Result<()> {
     let watcher = Line::new()?;
-    let found = record(&options.request, options.backend.open()?.as_ref(), end, &watcher).await?;
+    let found = record(&options.request, backends.open(options.backend)?.as_ref(), end, &watcher).await?;
     if let Ok(recording) = &found.recording {
         let text = if options.json {
             serde_json::to_value(recording)?.to_string()

@@ -4,7 +4,7 @@ use anyhow::Result;
 use clap::Args;
 use dermis_reflex::cli::Arguments;
 
-use crate::backend::Choice;
+use crate::backend::{Backends, Choice};
 
 /// Rules, and where they act.
 #[derive(Args)]
@@ -17,12 +17,12 @@ pub struct Options {
 }
 
 /// Runs until Ctrl-C, or until it is shut down through its lifecycle.
-pub async fn run(options: Options) -> Result<()> {
+pub async fn run(options: Options, backends: &Backends) -> Result<()> {
     let check = options.arguments.check;
     let config = options.arguments.into_config();
     if check {
         println!("{}", dermis_reflex::check(&config)?);
         return Ok(());
     }
-    Ok(dermis_reflex::run(&config, options.backend.open()?.as_ref()).await?)
+    Ok(dermis_reflex::run(&config, backends.open(options.backend)?.as_ref()).await?)
 }

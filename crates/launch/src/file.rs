@@ -78,6 +78,8 @@ pub(crate) struct File {
     #[serde(default)]
     pub log: Option<Text>,
     #[serde(default)]
+    pub container: Option<Text>,
+    #[serde(default)]
     pub log_limits: LogLimits,
     /// Each is an [`Entry`].
     pub processes: Vec<Value>,
@@ -109,6 +111,8 @@ pub(crate) struct Group {
     pub zenoh_config: Option<Text>,
     #[serde(default)]
     pub log: Option<Text>,
+    #[serde(default)]
+    pub container: Option<Text>,
     /// Each is an [`Entry`].
     pub processes: Vec<Value>,
 }
@@ -131,6 +135,8 @@ pub(crate) struct Include {
     pub zenoh_config: Option<Text>,
     #[serde(default)]
     pub log: Option<Text>,
+    #[serde(default)]
+    pub container: Option<Text>,
 }
 
 #[derive(Debug, Default, Deserialize)]
@@ -157,6 +163,7 @@ pub(crate) struct Entry {
     pub network: Option<Text>,
     pub zenoh_config: Option<Text>,
     pub log: Option<Text>,
+    pub container: Option<Text>,
     pub directory: Option<Text>,
     pub after: Vec<Text>,
     pub ready: Option<Ready>,

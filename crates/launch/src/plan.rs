@@ -1,8 +1,9 @@
 //! The plan of a launch: what is started, in which order, and how.
 //!
 //! [`load`] reads a launch file and all that it includes into a [`Plan`]. `types` has the plan itself, `loader` the way through
-//! files, groups and includes, `process` a single entry, `arguments` the arguments that a file declares, `scope` what groups
-//! and files set for the entries within them, `order` what waits for what, and `print` a plan for people and programs.
+//! files, groups and includes, `process` a single entry, `container` nodes that share a process, `arguments` the arguments that a
+//! file declares, `scope` what groups and files set for the entries within them, `order` what waits for what, and `print` a plan
+//! for people and programs.
 
 use std::cell::Cell;
 use std::collections::BTreeMap;
@@ -15,9 +16,10 @@ use crate::substitute::PUT_IN;
 use loader::Loader;
 use scope::Around;
 
-pub use types::{Declared, Host, NodeRequest, Plan, Process, Ready, Refusal, Restart, Stop};
+pub use types::{Declared, Host, NodeRequest, Plan, Process, Ready, Refusal, Restart, SharedNode, Stop};
 
 mod arguments;
+mod container;
 mod loader;
 mod order;
 mod print;
@@ -70,10 +72,7 @@ pub fn load(path: &Path, arguments: &[String], tmp: &Path, host: &dyn Host) -> R
     let declared = loader.file(path, given, &outer);
     let waits = loader.waits();
     loader.beside();
-    let mut processes = loader.processes;
-    for (process, after) in processes.iter_mut().zip(waits) {
-        process.after = after;
-    }
+    let processes = loader.shared(&waits);
     let log_limits = loader.log_limits;
     loader.faults.or(Plan { file: path.to_owned(), arguments: declared, processes, log_limits })
 }

@@ -16,6 +16,7 @@ use hiroz::msg::ZService;
 use hiroz::node::ZNode;
 use zenoh::Wait;
 use zenoh::qos::CongestionControl;
+use zenoh::session::ZenohId;
 
 use crate::backend::{
     Backend, BackendClient, BackendEndpoint, BackendError, BackendNode, BackendPublisher, EndpointInfo,
@@ -28,7 +29,7 @@ use crate::node::runtime;
 use crate::qos::{Qos, Reliability};
 use publisher::{HirozPublisher, HirozStream};
 use service::{HirozClient, HirozServer, raw_request};
-use subscription::{HirozSubscription, hand_on};
+use subscription::{HirozSubscription, Passage};
 use wire::{endpoint, from_wire_qos, has_type, ros_type_name, to_wire_qos, type_info};
 
 mod publisher;
@@ -63,17 +64,78 @@ impl HirozConfig {
     }
 }
 
-/// The embedded backend. Each node is a zenoh session of its own.
+/// The embedded backend. Each node is a zenoh session of its own, or all nodes of a process share one.
 #[derive(Debug, Clone, Default)]
 pub struct HirozBackend {
     config: HirozConfig,
+    sessions: Option<Sessions>,
 }
 
 impl HirozBackend {
     /// A backend with this configuration; [`HirozBackend::default`] suits most.
     #[must_use]
     pub fn new(config: HirozConfig) -> Self {
-        Self { config }
+        Self { config, sessions: None }
+    }
+
+    /// The same, but nodes that are opened with it, or with a clone of it, share a session for each domain and network. What
+    /// one of them publishes reaches the others without a socket and without a copy, and leaves the process once for all
+    /// of them. They are peers of others together, so that nobody outside can cut off one of them alone.
+    #[must_use]
+    pub fn one_session(self) -> Self {
+        Self { sessions: Some(Sessions::default()), ..self }
+    }
+}
+
+/// Sessions that nodes share, as long as one of those nodes is open.
+#[derive(Debug, Clone, Default)]
+struct Sessions(Arc<Mutex<Vec<SharedSession>>>);
+
+/// A session, and the domain and network that it was opened for.
+#[derive(Debug)]
+struct SharedSession {
+    domain_id: u16,
+    network: Network,
+    session: Weak<Session>,
+}
+
+impl Sessions {
+    /// The session of this domain and network, opened by `open` where there is none. Who asks meanwhile waits.
+    fn get(
+        &self,
+        domain_id: u16,
+        network: &Network,
+        open: impl FnOnce() -> zenoh::Result<Session>,
+    ) -> zenoh::Result<Arc<Session>> {
+        let mut sessions = lock(&self.0);
+        sessions.retain(|shared| shared.session.strong_count() > 0);
+        let mut alike = sessions.iter().filter(|s| s.domain_id == domain_id && s.network == *network);
+        if let Some(session) = alike.find_map(|shared| shared.session.upgrade()) {
+            return Ok(session);
+        }
+        let session = Arc::new(open()?);
+        let shared = SharedSession { domain_id, network: network.clone(), session: Arc::downgrade(&session) };
+        sessions.push(shared);
+        Ok(session)
+    }
+}
+
+/// A zenoh session with its graph; the last node closes it.
+#[derive(Debug)]
+struct Session(ZContext);
+
+impl Session {
+    fn open(domain_id: u16, config: zenoh::Config) -> zenoh::Result<Self> {
+        let builder = ZContextBuilder::default().with_domain_id(usize::from(domain_id));
+        Ok(Self(builder.with_zenoh_config(config).build()?))
+    }
+}
+
+impl Drop for Session {
+    fn drop(&mut self) {
+        if let Err(error) = off_runtime(|| self.0.shutdown()) {
+            tracing::debug!("closing a zenoh session: {error}");
+        }
     }
 }
 
@@ -98,26 +160,29 @@ impl Backend for HirozBackend {
         let error = |reason: String| BackendError::Open { backend: NAME, node: spec.full_name(), reason };
         let config = self.config.zenoh(&spec.network).map_err(error)?;
         let namespace = if spec.namespace == "/" { "" } else { spec.namespace.as_str() };
-        let (context, node) = off_runtime(|| -> zenoh::Result<(ZContext, ZNode)> {
-            let context = ZContextBuilder::default()
-                .with_domain_id(usize::from(spec.domain_id))
-                .with_zenoh_config(config.clone())
-                .build()?;
+        let (session, node) = off_runtime(|| -> zenoh::Result<(Arc<Session>, ZNode)> {
+            let open = || Session::open(spec.domain_id, config.clone());
+            let session = match &self.sessions {
+                None => Arc::new(open()?),
+                Some(sessions) => sessions.get(spec.domain_id, &spec.network, open)?,
+            };
             let node =
-                context.create_node(&spec.name).with_namespace(namespace).without_parameters().build()?;
-            Ok((context, node))
+                session.0.create_node(&spec.name).with_namespace(namespace).without_parameters().build()?;
+            Ok((session, node))
         })
         .map_err(|e| error(e.to_string()))?;
         let open_to = off_runtime(|| spec.network.opened(node.session(), &config));
+        let graph = Arc::clone(session.0.graph());
+        let entity = node.node_entity();
         let shared = Arc::new(Shared {
+            id: (entity.z_id, entity.id),
             node: Mutex::new(Some(node)),
-            graph: Arc::clone(context.graph()),
+            graph: Arc::clone(&graph),
             publishers: Mutex::default(),
             hooks: Mutex::default(),
             next: AtomicU64::new(0),
         });
         let weak = Arc::downgrade(&shared);
-        let graph = Arc::clone(context.graph());
         let watch = runtime()
             .map_err(|e| error(e.to_string()))?
             .spawn(async move { follow(&weak, &graph).await })
@@ -125,7 +190,7 @@ impl Backend for HirozBackend {
         Ok(Arc::new(HirozNode {
             full_name: spec.full_name(),
             open_to,
-            context: Mutex::new(Some(context)),
+            session: Mutex::new(Some(session)),
             shared,
             watch,
         }))
@@ -155,6 +220,8 @@ struct Matching {
 
 /// What a node shares with its publishers and with [`follow`].
 struct Shared {
+    /// Session and number of the node there.
+    id: (ZenohId, usize),
     /// Taken out when the node is closed.
     node: Mutex<Option<ZNode>>,
     graph: Arc<Graph>,
@@ -183,7 +250,7 @@ struct HirozNode {
     full_name: String,
     open_to: String,
     /// Taken out when the node is closed.
-    context: Mutex<Option<ZContext>>,
+    session: Mutex<Option<Arc<Session>>>,
     shared: Arc<Shared>,
     watch: tokio::task::AbortHandle,
 }
@@ -291,26 +358,21 @@ impl BackendNode for HirozNode {
         sink: MessageSink,
     ) -> Result<Box<dyn BackendEndpoint>, BackendError> {
         let type_info = type_info("subscription", topic, type_support.name, type_support.hash)?;
+        let passage = Arc::new(Passage::new(sink));
+        let arrived = Arc::clone(&passage);
         let subscription = self.make("subscription", topic, |node| {
             node.create_sub_impl::<Raw>(topic, Some(type_info))
                 .with_qos(to_wire_qos(qos))
                 .with_buffer_group(hiroz::BufferGroup::Off)
-                .build()
+                .build_with_notifier(move || arrived.hand_on())
         })?;
-        let queue = subscription.queue.clone();
-        let gate = Arc::new(Mutex::new(Some(sink)));
-        let forward = Arc::clone(&gate);
-        let error =
-            |reason: String| BackendError::Endpoint { what: "subscription", name: topic.to_owned(), reason };
-        let queue = queue.ok_or_else(|| error("it has no queue".to_owned()))?;
-        let waiting = Arc::clone(&queue);
-        let task = runtime().map_err(|e| error(e.to_string()))?.spawn(hand_on(queue, forward));
-        Ok(Box::new(HirozSubscription {
-            subscription: Some(subscription),
-            waiting,
-            gate,
-            task: task.abort_handle(),
-        }))
+        let queue = subscription.queue.clone().ok_or_else(|| BackendError::Endpoint {
+            what: "subscription",
+            name: topic.to_owned(),
+            reason: "it has no queue".to_owned(),
+        })?;
+        passage.open(queue);
+        Ok(Box::new(HirozSubscription { subscription: Some(subscription), passage }))
     }
 
     fn serve(
@@ -373,7 +435,7 @@ impl BackendNode for HirozNode {
                     .node
                     .as_ref()
                     .map_or_else(String::new, |node| crate::names::join(&node.namespace, &node.name)),
-                own: endpoint.node.as_ref().is_some_and(|node| node.z_id == graph.zid),
+                own: endpoint.node.as_ref().is_some_and(|node| (node.z_id, node.id) == self.shared.id),
                 type_name: endpoint
                     .type_info
                     .as_ref()
@@ -400,14 +462,11 @@ impl BackendNode for HirozNode {
         let Some(node) = lock(&self.shared.node).take() else { return };
         self.watch.abort();
         lock(&self.shared.hooks).clear();
-        let context = lock(&self.context).take();
-        let closed = off_runtime(|| {
+        let session = lock(&self.session).take();
+        off_runtime(|| {
             drop(node);
-            context.map_or(Ok(()), |context| context.shutdown())
+            drop(session);
         });
-        if let Err(error) = closed {
-            tracing::debug!("closing the zenoh session of {}: {error}", self.full_name);
-        }
     }
 }
 
@@ -430,16 +489,4 @@ impl ZService for RawService {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_bad_override_is_named() {
-        let config = HirozConfig {
-            overrides: vec![("scouting/nonsense".to_owned(), "1".to_owned())],
-            ..HirozConfig::default()
-        };
-        let error = config.zenoh(&Network::default()).unwrap_err();
-        assert!(error.contains("scouting/nonsense=1"), "{error}");
-    }
-}
+mod tests;

@@ -38,6 +38,43 @@ fn backend() -> Arc<dyn Backend> {
 
 dermis_node::behaviour_suite!(backend());
 
+/// Nodes that share a session behave as those that do not.
+mod one_session {
+    use super::{Arc, Backend, HirozBackend, config};
+
+    fn backend() -> Arc<dyn Backend> {
+        Arc::new(HirozBackend::new(config()).one_session())
+    }
+
+    dermis_node::behaviour_suite!(backend());
+}
+
+#[test]
+fn nodes_that_share_a_session_are_one_peer_until_the_last_is_closed() {
+    let backend = HirozBackend::new(config()).one_session();
+    let bench = Bench::new(&backend);
+    let (first, second) = (bench.node("first"), bench.node("second"));
+    let plain = plain_session();
+    let peers = || plain.info().peers_zid().wait().count();
+    until("they are seen", || peers() > 0);
+    assert_eq!(peers(), 1);
+    // Each knows its own endpoints from those of the other.
+    let _publisher = first.publisher::<Int32>("shared", Qos::reliable(1)).unwrap();
+    let own = |node: &Node| -> Vec<bool> {
+        node.endpoints("shared", EndpointKind::Publisher).unwrap().iter().map(|e| e.own).collect()
+    };
+    until("both see the publisher", || own(&first) == [true] && own(&second) == [false]);
+    first.shutdown();
+    until("only the second is left", || {
+        second.node_names().unwrap().iter().filter(|name| name.ends_with("/first")).count() == 0
+    });
+    assert_eq!(peers(), 1);
+    second.shutdown();
+    until("the session is closed", || peers() == 0);
+    let _third = bench.node("third");
+    until("a new one is opened", || peers() == 1);
+}
+
 /// A zenoh client that knows nothing of ROS.
 fn plain_session() -> zenoh::Session {
     let mut config = zenoh::Config::default();

@@ -31,11 +31,7 @@ pub fn hand_over(network: &NetworkChoice, plan: &mut Plan) -> Result<(), Operate
     };
     for process in &mut plan.processes {
         process.set_network(network.network.is_some(), &value);
-        let says_so =
-            |argument: &String| argument.starts_with("--network") || argument.starts_with("--zenoh-config");
-        if process.config.is_some() && !process.arguments.iter().any(says_so) {
-            process.arguments.extend([flag.to_owned(), value.clone()]);
-        }
+        process.set_option(flag, &value, &["--network", "--zenoh-config"]);
     }
     Ok(())
 }

@@ -4,6 +4,7 @@
 mod bags;
 mod browser;
 mod collect;
+mod container;
 mod corpus;
 mod ert;
 mod examples;

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 
 use super::arguments::arguments;
-use super::scope::{Around, At, Network};
+use super::scope::{Around, At, Network, is_name};
 use super::types::{Declared, Host, Process};
 use crate::error::LaunchError;
 use crate::faults::Faults;
@@ -34,6 +34,8 @@ pub(super) struct Named {
     pub(super) after: Vec<String>,
     /// Whether it has the key `ready`, valid or not.
     pub(super) ready: bool,
+    /// Process that it shares with others.
+    pub(super) container: Option<String>,
 }
 
 /// What was read so far.
@@ -106,6 +108,7 @@ impl Loader<'_> {
             );
             inner.folder = folder;
             self.reach(&at, &mut inner, file.network.as_ref(), file.zenoh_config.as_ref());
+            self.share(&at, &mut inner, file.container.as_ref());
             self.entries(file.processes, &at, &inner);
         } else {
             self.complete = false;
@@ -188,6 +191,18 @@ impl Loader<'_> {
         }
     }
 
+    /// Applies the key `container`; the inner one wins, and an empty one is none.
+    pub(super) fn share(&mut self, at: &At, around: &mut Around, container: Option<&Text>) {
+        let Some(Text(name)) = container else { return };
+        if !name.is_empty() && !is_name(name, true) {
+            self.faults.push(at.refuse(
+                "container",
+                format!("`{name}` is no name; it begins with a letter and goes on with letters, digits, `_`, `-` or `.`"),
+            ));
+        }
+        around.container = (!name.is_empty()).then(|| name.clone());
+    }
+
     fn entry(&mut self, value: Value, at: &At, around: &Around) {
         let outer = ["group", "include"].into_iter().find(|key| value.get(key).is_some());
         if let (Some(key), Value::Object(fields)) = (outer, &value) {
@@ -222,6 +237,7 @@ impl Loader<'_> {
             &mut self.faults,
         );
         self.reach(&at, &mut inner, group.network.as_ref(), group.zenoh_config.as_ref());
+        self.share(&at, &mut inner, group.container.as_ref());
         self.entries(group.processes, &at, &inner);
     }
 
@@ -241,6 +257,7 @@ impl Loader<'_> {
             &mut self.faults,
         );
         self.reach(&at, &mut inner, include.network.as_ref(), include.zenoh_config.as_ref());
+        self.share(&at, &mut inner, include.container.as_ref());
         let path = around.folder.join(&include.file.0);
         if !path.exists() {
             self.complete = false;

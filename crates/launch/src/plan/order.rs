@@ -2,6 +2,7 @@
 
 use serde_json::Value;
 
+use super::container::first_of_process;
 use super::loader::{Loader, Named};
 use super::scope::At;
 use super::types::{Process, Refusal};
@@ -20,7 +21,7 @@ impl Loader<'_> {
         }
     }
 
-    /// What each process waits for, as indices.
+    /// What each process waits for, as indices of entries: of the first one where several share a process.
     pub(super) fn waits(&mut self) -> Vec<Vec<usize>> {
         let labels: Vec<&str> = self.named.iter().map(|named| named.label.as_str()).collect();
         let find = |named: &Named, wanted: &str| {
@@ -33,18 +34,34 @@ impl Loader<'_> {
             .iter()
             .map(|named| named.after.iter().map(|wanted| find(named, wanted)).collect())
             .collect();
-        let waits: Vec<Vec<usize>> =
-            found.iter().map(|after| after.iter().copied().flatten().collect()).collect();
-        for (named, found) in self.named.iter().zip(&found) {
+        // What is in one container waits for all that its nodes wait for.
+        let first = first_of_process(&self.named);
+        let mut waits: Vec<Vec<usize>> = vec![Vec::new(); found.len()];
+        for (entry, after) in found.iter().enumerate() {
+            for other in after.iter().flatten().map(|other| first[*other]) {
+                let of = &mut waits[first[entry]];
+                let within = self.named[entry].container.is_some() && other == first[entry];
+                if !within && !of.contains(&other) {
+                    of.push(other);
+                }
+            }
+        }
+        for (entry, (named, found)) in self.named.iter().zip(&found).enumerate() {
             for (i, (wanted, other)) in named.after.iter().zip(found).enumerate() {
                 let reason = match other.map(|other| (other, &self.named[other])) {
                     None if !self.complete => continue,
                     None => format!("there is no process `{wanted}`; there are {}", labels.join(", ")),
+                    Some((_, other)) if named.container.is_some() && other.container == named.container => {
+                        format!(
+                            "`{}` is in the same container, whose nodes start together; remove it",
+                            other.label
+                        )
+                    }
                     Some((_, other)) if !other.ready => format!(
                         "`{}` says not when it is ready; give it `ready: {{file: …}}` or `ready: {{line: …}}`",
                         other.label
                     ),
-                    Some((at, other)) if waits_for(&labels, &waits, at, &named.label) => format!(
+                    Some((at, other)) if waits_for(&waits, first[at], first[entry]) => format!(
                         "`{}` waits for `{}` itself, so that neither would start",
                         other.label, named.label
                     ),
@@ -61,12 +78,12 @@ impl Loader<'_> {
     }
 }
 
-/// Whether a process waits for the one with this label, or is it.
-fn waits_for(labels: &[&str], waits: &[Vec<usize>], from: usize, label: &str) -> bool {
+/// Whether a process waits for another one, or is it.
+fn waits_for(waits: &[Vec<usize>], from: usize, other: usize) -> bool {
     let mut seen = vec![false; waits.len()];
     let mut open = vec![from];
     while let Some(i) = open.pop() {
-        if labels[i] == label {
+        if i == other {
             return true;
         }
         if !std::mem::replace(&mut seen[i], true) {

@@ -19,9 +19,17 @@ impl Plan {
         }
         for (i, p) in self.processes.iter().enumerate() {
             let _ = writeln!(out, "{:>3}  {}", i + 1, p.label);
-            let _ = writeln!(out, "       {}", p.command_line());
-            if let Some(config) = &p.config {
-                let _ = writeln!(out, "       {}", said(config));
+            let mut run = |of: &str, arguments: &[String], config: Option<&Value>| {
+                let _ = writeln!(out, "       {of}{}", command_line(&p.program_name(), arguments));
+                if let Some(config) = config {
+                    let _ = writeln!(out, "       {}", said(config));
+                }
+            };
+            if p.nodes.is_empty() {
+                run("", &p.arguments, p.config.as_ref());
+            }
+            for node in &p.nodes {
+                run(&format!("{}: ", node.label), &node.arguments, node.config.as_ref());
             }
             let mut notes = Vec::new();
             if !p.after.is_empty() {
@@ -62,6 +70,9 @@ impl Plan {
                     "program": p.program,
                     "arguments": p.arguments,
                     "config": p.config,
+                    "nodes": p.nodes.iter().map(|node| json!({
+                        "name": node.label, "arguments": node.arguments, "config": node.config,
+                    })).collect::<Vec<_>>(),
                     "environment": p.environment,
                     "directory": p.directory,
                     "after": p.after.iter().map(|a| &self.processes[*a].label).collect::<Vec<_>>(),
@@ -76,23 +87,23 @@ impl Plan {
 }
 
 impl Process {
-    /// The command as a person would type it.
-    #[must_use]
-    pub fn command_line(&self) -> String {
-        let program = if self.own { "dermis".into() } else { self.program.display().to_string() };
-        std::iter::once(&program)
-            .chain(&self.arguments)
-            .map(|word| {
-                let plain = |c: char| c.is_ascii_alphanumeric() || "/._-:=?&,@%+".contains(c);
-                if !word.is_empty() && word.chars().all(plain) {
-                    word.clone()
-                } else {
-                    format!("'{}'", word.replace('\'', r"'\''"))
-                }
-            })
-            .collect::<Vec<_>>()
-            .join(" ")
+    fn program_name(&self) -> String {
+        if self.own { "dermis".into() } else { self.program.display().to_string() }
     }
+}
+
+/// A command as a person would type it.
+fn command_line(program: &str, arguments: &[String]) -> String {
+    let quoted = |word: &str| {
+        let plain = |c: char| c.is_ascii_alphanumeric() || "/._-:=?&,@%+".contains(c);
+        if !word.is_empty() && word.chars().all(plain) {
+            word.to_owned()
+        } else {
+            format!("'{}'", word.replace('\'', r"'\''"))
+        }
+    };
+    let words = std::iter::once(program).chain(arguments.iter().map(String::as_str));
+    words.map(quoted).collect::<Vec<_>>().join(" ")
 }
 
 /// The keys of a configuration that are set.

@@ -19,10 +19,10 @@ use crate::file::{self, Entry, Text};
 const PATTERN: usize = 1 << 20;
 
 /// What is run.
-struct Command {
-    own: bool,
+pub(super) struct Command {
+    pub(super) own: bool,
     program: PathBuf,
-    arguments: Vec<String>,
+    pub(super) arguments: Vec<String>,
     config: Option<Value>,
 }
 
@@ -39,6 +39,7 @@ impl Loader<'_> {
             &mut self.faults,
         );
         self.reach(at, &mut inner, entry.network.as_ref(), entry.zenoh_config.as_ref());
+        self.share(at, &mut inner, entry.container.as_ref());
         let label = self.label(entry, at, &inner);
         if label.is_none() {
             self.complete = false;
@@ -47,6 +48,7 @@ impl Loader<'_> {
         let command = self.command(entry, bad, &label, at, &inner);
 
         let own = command.as_ref().is_some_and(|command| command.own);
+        let container = self.container(entry, command.as_ref(), at, &inner);
         let environment = environment(&inner, own);
         let directory = match &entry.directory {
             None => inner.folder.clone(),
@@ -68,6 +70,7 @@ impl Loader<'_> {
             namespace: inner.namespace,
             after: texts(&entry.after),
             ready: ready.is_some() || bad.contains("ready"),
+            container,
         });
         let (Some(Command { own, program, arguments, config }), ready) = (command, ready.flatten()) else {
             return;
@@ -83,6 +86,7 @@ impl Loader<'_> {
             program,
             arguments,
             config,
+            nodes: Vec::new(),
             environment,
             directory,
             after: Vec::new(),

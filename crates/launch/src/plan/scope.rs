@@ -1,4 +1,4 @@
-//! What groups and files set for the entries within them: namespace, environment, ROS domain, network, log level.
+//! What groups and files set for the entries within them: namespace, environment, ROS domain, network, log level, container.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -19,6 +19,8 @@ pub(super) struct Around {
     pub(super) domain_id: Option<u16>,
     pub(super) network: Option<Network>,
     pub(super) log: Option<String>,
+    /// Process that nodes share.
+    pub(super) container: Option<String>,
     /// Folder of the file.
     pub(super) folder: PathBuf,
 }

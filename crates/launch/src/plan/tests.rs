@@ -20,6 +20,10 @@ impl Host for Fake {
         }
     }
 
+    fn can_share(&self, arguments: &[String]) -> bool {
+        arguments.first().is_some_and(|command| command == "pad")
+    }
+
     fn network(&self, text: &str) -> Result<(), String> {
         ["loopback", "lan", "off", "10.0.0.1"]
             .contains(&text)
@@ -254,7 +258,7 @@ processes:
 
 #[test]
 fn refusals_name_file_and_field() {
-    insta::assert_snapshot!(refusal("processes: [{name: a, dermis: device, retsart: always}]"), @"launch file /robot.yaml: field `processes[0].retsart`: unknown field `retsart`, expected one of `name`, `node`, `dermis`, `program`, `group`, `include`, `config`, `flags`, `parameters`, `remap`, `ros_args`, `namespace`, `environment`, `domain_id`, `network`, `zenoh_config`, `log`, `directory`, `after`, `ready`, `restart`, `backoff`, `required`, `stop`");
+    insta::assert_snapshot!(refusal("processes: [{name: a, dermis: device, retsart: always}]"), @"launch file /robot.yaml: field `processes[0].retsart`: unknown field `retsart`, expected one of `name`, `node`, `dermis`, `program`, `group`, `include`, `config`, `flags`, `parameters`, `remap`, `ros_args`, `namespace`, `environment`, `domain_id`, `network`, `zenoh_config`, `log`, `container`, `directory`, `after`, `ready`, `restart`, `backoff`, `required`, `stop`");
     insta::assert_snapshot!(refusal("processes: [{name: a, dermis: device, restart: sometimes}]"), @"launch file /robot.yaml: field `processes[0].restart`: unknown variant `sometimes`, expected one of `never`, `on-failure`, `always`");
     insta::assert_snapshot!(refusal("processes: [{name: a, dermis: device, backoff: {first: soon}}]"), @r#"launch file /robot.yaml: field `processes[0].backoff.first`: invalid type: string "soon", expected f64"#);
     insta::assert_snapshot!(refusal("processes: [{name: a, dermis: device, backoff: {most: 0.1}}]"), @"launch file /robot.yaml: field `processes[0].backoff.most`: 0.1 s is less than the first wait of 0.5 s; raise it");
@@ -335,4 +339,86 @@ fn every_key_is_explained() {
             assert!(guide.contains(&format!("`{key}`")), "launch/README.md does not explain `{key}`");
         }
     }
+}
+
+const SHARED: &str = "
+environment: {A: outer}
+container: body
+processes:
+  - {name: source, dermis: device simulate, ready: {line: up}}
+  - {name: other, program: /bin/sh -c true, ready: {line: up}}
+  - {name: pad, node: pad, namespace: left, after: [source], config: {skin: a.toml}, flags: [--strict]}
+  - {name: alone, node: pad, container: '', after: [left/pad]}
+  - {name: pad, node: pad, namespace: right, after: [/source, /other], restart: on-failure, ready: {line: feels}, stop: {interrupt: 9}}
+  - {name: last, node: pad, restart: always, required: true, after: [alone]}
+";
+
+#[test]
+fn nodes_of_a_container_are_one_process() {
+    let folder = Folder::new();
+    let text = SHARED.replace("after: [left/pad]", "after: [right/pad]").replace(", after: [alone]", "");
+    let plan = folder.load(&text, &[]).unwrap();
+    let labels: Vec<&str> = plan.processes.iter().map(|p| p.label.as_str()).collect();
+    assert_eq!(labels, ["source", "other", "body", "alone"]);
+    let (body, alone) = (&plan.processes[2], &plan.processes[3]);
+    assert_eq!((&body.after, &alone.after), (&vec![0, 1], &vec![2]));
+    assert_eq!((body.restart, body.required, body.stop.interrupt), (Restart::Always, true, 9.0));
+    assert!(matches!(&body.ready, Some(Ready::Line { .. })));
+    let shown = plan.text().replace(&folder.0.path().display().to_string(), "");
+    insta::assert_snapshot!(shown, @r#"
+/robot.yaml: 4 processes to start
+  1  source
+       dermis device simulate
+       ready with a line /up/
+  2  other
+       /bin/sh -c true
+       ready with a line /up/
+  3  body
+       left/pad: dermis pad --config /tmp/left.pad.yaml --strict
+       {"config":{"skin":"a.toml"},"name":"pad","namespace":"/left"}
+       right/pad: dermis pad --config /tmp/right.pad.yaml
+       {"name":"pad","namespace":"/right"}
+       last: dermis pad --config /tmp/last.yaml
+       {"name":"last","namespace":"/"}
+       after source, other; ready with a line /feels/; started again whenever it ends; required
+  4  alone
+       dermis pad --config /tmp/alone.yaml
+       {"name":"alone","namespace":"/"}
+       after body
+"#);
+    assert_eq!(plan.json()["processes"][2]["nodes"][1]["name"], "right/pad");
+
+    // What the command line says of the network is for nodes that have not said it themselves.
+    let mut body = body.clone();
+    body.set_option("--network", "lan", &["--network", "--strict"]);
+    assert_eq!(body.arguments.iter().filter(|word| *word == "--network").count(), 2);
+    assert_eq!(body.arguments.iter().filter(|word| *word == "--").count(), 2);
+}
+
+#[test]
+fn nodes_that_cannot_share_a_process_are_named() {
+    let in_body = |first: &str, second: &str| {
+        refusal(&format!(
+            "container: body\nprocesses:\n  - {{name: a, node: pad{first}}}\n  - {{name: b, node: pad{second}}}\n"
+        ))
+    };
+    insta::assert_snapshot!(in_body("", ", environment: {A: b}"), @"launch file /robot.yaml: field `processes[1].container`: A is not what it is for `a`, which is in container `body` too; a process has one environment, domain, network and log level");
+    insta::assert_snapshot!(in_body(", domain_id: 3", ""), @"launch file /robot.yaml: field `processes[1].container`: ROS_DOMAIN_ID is not what it is for `a`, which is in container `body` too; a process has one environment, domain, network and log level");
+    insta::assert_snapshot!(in_body("", ", directory: /"), @"launch file /robot.yaml: field `processes[1].directory`: / is another working directory than , that of `a`, which is in container `body` too; give both the same");
+    insta::assert_snapshot!(in_body(", ready: {line: up}", ", after: [a]"), @"launch file /robot.yaml: field `processes[1].after[0]`: `a` is in the same container, whose nodes start together; remove it");
+    insta::assert_snapshot!(in_body(", ready: {line: up}", ", ready: {line: up}"), @"launch file /robot.yaml: field `processes[1].ready`: is given twice for container `body`; leave one");
+    insta::assert_snapshot!(in_body(", backoff: {limit: 3}", ", backoff: {limit: 4}"), @"launch file /robot.yaml: field `processes[1].backoff`: differs from that of other nodes in container `body`; give it once");
+    insta::assert_snapshot!(in_body("", ", flags: [--, x]"), @"launch file /robot.yaml: field `processes[1].container`: has the argument `--`, which separates the nodes of a container; leave one of them away");
+    insta::assert_snapshot!(in_body("", ", container: 'no name'"), @"launch file /robot.yaml: field `processes[1].container`: `no name` is no name; it begins with a letter and goes on with letters, digits, `_`, `-` or `.`");
+    let program = "processes: [{name: a, program: sleep 1, container: body}]";
+    insta::assert_snapshot!(refusal(program), @"launch file /robot.yaml: field `processes[0].container`: shares its process with others, which only a node can: a skin, `fusion`, `reflex`, `bridge` or `record`");
+    let named = "processes: [{name: body, node: pad}, {name: b, node: pad, container: body}]";
+    insta::assert_snapshot!(refusal(named), @"launch file /robot.yaml: field `processes[1].container`: `body` is the name of processes[0] in /robot.yaml too; give one of them another name");
+    // Neither would start: the container waits for `alone`, which waits for a node in it.
+    let circle = SHARED.replace("after: [left/pad]", "after: [right/pad], ready: {line: up}");
+    insta::assert_snapshot!(refusal(&circle), @r#"
+2 mistakes:
+  launch file /robot.yaml: field `processes[3].after[0]`: `right/pad` waits for `alone` itself, so that neither would start
+  launch file /robot.yaml: field `processes[5].after[0]`: `alone` waits for `last` itself, so that neither would start
+"#);
 }

@@ -25,6 +25,12 @@ pub trait Host {
     /// One sentence on what it does not take.
     fn check(&self, arguments: &[String]) -> Result<(), String>;
 
+    /// Whether what the program does with these arguments can share a process: whether its command `container` takes them.
+    fn can_share(&self, arguments: &[String]) -> bool {
+        let _ = arguments;
+        false
+    }
+
     /// Checks that `text` is a reach over the network, as `--network` takes it.
     ///
     /// # Errors
@@ -81,7 +87,7 @@ pub struct Refusal {
 }
 
 /// When a process that ended by itself is started again.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Restart {
     /// Never.
@@ -131,6 +137,18 @@ pub enum Ready {
     },
 }
 
+/// A node in a process that it shares with others.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct SharedNode {
+    /// Namespace and name.
+    pub label: String,
+    /// Command and arguments.
+    pub arguments: Vec<String>,
+    /// Its configuration, as of a [`Process`].
+    pub config: Option<Value>,
+}
+
 /// One process.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
@@ -149,6 +167,8 @@ pub struct Process {
     pub arguments: Vec<String>,
     /// Configuration of a node, as it is written to the file that `arguments` names.
     pub config: Option<Value>,
+    /// Where it is a container, the nodes that run in it.
+    pub nodes: Vec<SharedNode>,
     /// Variables on top of the environment of the launch.
     pub environment: BTreeMap<String, String>,
     /// Working directory.
@@ -175,6 +195,26 @@ impl Process {
             if reach { Network::Reach(value.to_owned()) } else { Network::File(PathBuf::from(value)) };
         let variables = network.variables(self.own);
         self.environment.extend(variables.into_iter().map(|(name, value)| (name.to_owned(), value)));
+    }
+
+    /// Gives an option to every node with a configuration, except to those whose arguments have one of `instead` already: what
+    /// the command line says wins over a configuration.
+    pub fn set_option(&mut self, flag: &str, value: &str, instead: &[&str]) {
+        let add = |arguments: &mut Vec<String>| {
+            let said = |argument: &String| instead.iter().any(|flag| argument.starts_with(flag));
+            if !arguments.iter().any(said) {
+                arguments.extend([flag.to_owned(), value.to_owned()]);
+            }
+        };
+        if self.config.is_some() {
+            add(&mut self.arguments);
+        }
+        for node in self.nodes.iter_mut().filter(|node| node.config.is_some()) {
+            add(&mut node.arguments);
+        }
+        if !self.nodes.is_empty() {
+            self.arguments = super::container::arguments(&self.nodes);
+        }
     }
 }
 

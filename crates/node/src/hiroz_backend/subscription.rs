@@ -1,12 +1,13 @@
 //! Subscriptions: samples go from the queue of hiroz to the sink of the node.
 
+use std::borrow::Cow;
 use std::sync::{Arc, Mutex};
-use std::task::Poll;
 
 use bytes::Bytes;
 use hiroz::attachment::Attachment;
 use hiroz::pubsub::ZSub;
 use hiroz::queue::BoundedQueue;
+use zenoh::bytes::ZBytes;
 use zenoh::sample::Sample;
 
 use super::{Raw, RawSerdes, off_runtime};
@@ -14,38 +15,60 @@ use crate::backend::{BackendEndpoint, MessageSink, Publication, RawMessage};
 use crate::clock::system_now;
 use crate::executor::lock;
 
-/// Where the samples of a subscription go; taken out when it is dropped.
-pub(super) type Gate = Arc<Mutex<Option<MessageSink>>>;
+/// The way from the queue of hiroz to the sink, on the thread that a sample comes by: that of zenoh, or that of a publisher in the
+/// same session.
+pub(super) struct Passage {
+    ends: Mutex<Ends>,
+}
 
-/// Hands samples on as they come, until the gate is shut. A sample is taken out of the queue under the lock of the gate, so
-/// that whoever shuts the gate knows that none is on its way between them.
-pub(super) async fn hand_on(queue: Arc<BoundedQueue<Sample>>, gate: Gate) {
-    /// Samples after which others get their turn on the runtime.
-    const TURN: usize = 64;
-    let mut next = Box::pin(queue.recv_async());
-    std::future::poll_fn(|context| {
-        for _ in 0..TURN {
-            let gate = lock(&gate);
-            let Some(sink) = &*gate else { return Poll::Ready(()) };
-            match next.as_mut().poll(context) {
-                Poll::Ready(sample) => sink(raw_message(&sample)),
-                Poll::Pending => return Poll::Pending,
-            }
-            next.set(queue.recv_async());
+struct Ends {
+    /// Known once the subscription is made.
+    queue: Option<Arc<BoundedQueue<Sample>>>,
+    /// Taken out when the subscription is dropped.
+    sink: Option<MessageSink>,
+}
+
+impl Passage {
+    pub(super) fn new(sink: MessageSink) -> Self {
+        Self { ends: Mutex::new(Ends { queue: None, sink: Some(sink) }) }
+    }
+
+    /// Hands on what has come, and from now on what comes.
+    pub(super) fn open(&self, queue: Arc<BoundedQueue<Sample>>) {
+        lock(&self.ends).queue = Some(queue);
+        self.hand_on();
+    }
+
+    /// Hands on what has come. Samples are taken out under the lock, so that they keep their order, and so that whoever shuts the
+    /// passage knows that none is on its way.
+    pub(super) fn hand_on(&self) {
+        lock(&self.ends).hand_on();
+    }
+
+    /// Hands on what has come, and nothing any more.
+    fn shut(&self) {
+        let sink = {
+            let mut ends = lock(&self.ends);
+            ends.hand_on();
+            ends.sink.take()
+        };
+        drop(sink);
+    }
+}
+
+impl Ends {
+    fn hand_on(&self) {
+        let Self { queue: Some(queue), sink: Some(sink) } = self else { return };
+        while let Some(sample) = queue.try_recv() {
+            sink(raw_message(&sample));
         }
-        context.waker().wake_by_ref();
-        Poll::Pending
-    })
-    .await;
+    }
 }
 
 /// Withdraws the subscription when it is dropped, after what has arrived was handed on.
 pub(super) struct HirozSubscription {
     pub(super) subscription: Option<ZSub<Raw, Sample, RawSerdes>>,
-    /// Samples that have arrived and were not handed on yet.
-    pub(super) waiting: Arc<BoundedQueue<Sample>>,
-    pub(super) gate: Gate,
-    pub(super) task: tokio::task::AbortHandle,
+    pub(super) passage: Arc<Passage>,
 }
 
 impl BackendEndpoint for HirozSubscription {}
@@ -54,18 +77,7 @@ impl Drop for HirozSubscription {
     fn drop(&mut self) {
         let subscription = self.subscription.take();
         off_runtime(|| drop(subscription));
-        let sink = {
-            let mut gate = lock(&self.gate);
-            // What has arrived is not lost.
-            while let Some(sink) = &*gate
-                && let Some(sample) = self.waiting.try_recv()
-            {
-                sink(raw_message(&sample));
-            }
-            gate.take()
-        };
-        drop(sink);
-        self.task.abort();
+        self.passage.shut();
     }
 }
 
@@ -77,9 +89,51 @@ fn raw_message(sample: &Sample) -> RawMessage {
         Some(Publication { publisher: attachment.source_gid, number })
     });
     RawMessage {
-        payload: Bytes::from(sample.payload().to_bytes().into_owned()),
+        payload: payload(sample.payload()),
         source_ns: attachment.map(|attachment| attachment.source_timestamp),
         received_ns: system_now(),
         publication,
+    }
+}
+
+/// \[bytes\] From here on, a message keeps the buffer that it came in. zenoh receives up to 64 kB in one buffer, which a small
+/// message in a long queue would keep whole; copying one of these takes less than a microsecond.
+const KEPT: usize = 16 * 1024;
+
+/// The bytes of a sample: a small one is copied, a large one stays where it lies, which is the publisher's own buffer where the
+/// publisher shares the session.
+fn payload(bytes: &ZBytes) -> Bytes {
+    struct Whole(ZBytes);
+    impl AsRef<[u8]> for Whole {
+        fn as_ref(&self) -> &[u8] {
+            self.0.slices().next().unwrap_or_default()
+        }
+    }
+    match bytes.to_bytes() {
+        Cow::Borrowed(slice) if slice.len() >= KEPT => Bytes::from_owner(Whole(bytes.clone())),
+        // What came in fragments was joined.
+        joined => Bytes::from(joined.into_owned()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_large_message_is_not_copied_and_one_in_fragments_is_whole() {
+        for length in [0, 1, KEPT - 1, KEPT, 3 * KEPT] {
+            let bytes: Vec<u8> = (0..length).map(|i| (i % 251) as u8).collect();
+            let one = ZBytes::from(bytes.clone());
+            let place = one.slices().next().map(<[u8]>::as_ptr);
+            let read = payload(&one);
+            assert_eq!(read, bytes);
+            assert_eq!(Some(read.as_ptr()) == place, length >= KEPT, "{length} bytes");
+            let mut writer = ZBytes::writer();
+            let (first, rest) = bytes.split_at(length / 2);
+            writer.append(ZBytes::from(first.to_vec()));
+            writer.append(ZBytes::from(rest.to_vec()));
+            assert_eq!(payload(&writer.finish()), bytes);
+        }
     }
 }

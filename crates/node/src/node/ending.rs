@@ -1,7 +1,7 @@
 //! The end of a node: by a call, a signal, or the drop of its last clone.
 
 use std::sync::atomic::Ordering;
-use std::sync::{PoisonError, Weak};
+use std::sync::{LazyLock, PoisonError, Weak};
 use std::thread::ThreadId;
 use std::time::Duration;
 
@@ -12,6 +12,16 @@ use crate::executor::lock;
 
 /// Longest wait of a second caller of `shutdown` for the first one.
 const CLOSE_WAIT: Duration = Duration::from_secs(10);
+
+/// Whether all nodes of the process are to end.
+static ALL: LazyLock<tokio::sync::watch::Sender<bool>> =
+    LazyLock::new(|| tokio::sync::watch::Sender::new(false));
+
+/// Ends every [`Node::wait_for_shutdown`] of this process as a signal does, those that begin later, too: for programs that run
+/// several nodes and end them together, of which some may still be starting.
+pub fn end_all_nodes() {
+    ALL.send_replace(true);
+}
 
 /// How far the end of a node is.
 #[derive(Default)]
@@ -34,7 +44,7 @@ impl Node {
         self.0.core.closed.load(Ordering::Acquire)
     }
 
-    /// Waits for Ctrl-C, SIGTERM or [`Node::shutdown`], and shuts the node down. May be awaited on any
+    /// Waits for Ctrl-C, SIGTERM, [`end_all_nodes`] or [`Node::shutdown`], and shuts the node down. May be awaited on any
     /// executor.
     ///
     /// # Errors
@@ -42,7 +52,9 @@ impl Node {
     /// When the signals cannot be listened to; the node is not shut down then.
     pub async fn wait_for_shutdown(&self) -> Result<(), NodeError> {
         let mut ended = self.0.ended.subscribe();
-        let signalled = runtime()?.spawn(async {
+        let mut all = ALL.subscribe();
+        let signalled = runtime()?.spawn(async move {
+            let all = all.wait_for(|all| *all);
             #[cfg(unix)]
             {
                 use tokio::signal::unix::{SignalKind, signal};
@@ -50,10 +62,14 @@ impl Node {
                 tokio::select! {
                     result = tokio::signal::ctrl_c() => result,
                     _ = terminate.recv() => Ok(()),
+                    _ = all => Ok(()),
                 }
             }
             #[cfg(not(unix))]
-            tokio::signal::ctrl_c().await
+            tokio::select! {
+                result = tokio::signal::ctrl_c() => result,
+                _ = all => Ok(()),
+            }
         });
         let abort = signalled.abort_handle();
         let shut_down = std::pin::pin!(ended.wait_for(|ended| *ended));
