@@ -5,6 +5,8 @@
 //! them the process, which whoever supervises it can start again as a whole. A node that is shut down through its
 //! lifecycle, or whose work is done, leaves the others running.
 
+use std::pin::Pin;
+
 use anyhow::{Context, Result, bail};
 use clap::{Args, Parser};
 use tokio::task::JoinSet;
@@ -47,7 +49,7 @@ pub async fn run(options: Options) -> Result<()> {
                 // Whoever would tell it is gone only with the process.
                 let _ = ends.wait_for(|end| *end).await;
             };
-            let done = start(command, &backends, end).await;
+            let done = start(command, &backends, Box::new(|| Ok(Box::pin(end)))).await;
             (name, done)
         });
     }
@@ -105,13 +107,17 @@ fn parse(words: &[String]) -> Result<(String, Command)> {
     }
 }
 
-async fn start(command: Command, backends: &Backends, end: impl Future<Output = ()>) -> Result<()> {
+/// When what has no end of its own ends; made once that begins.
+pub type End = Box<dyn FnOnce() -> Result<Pin<Box<dyn Future<Output = ()> + Send>>> + Send>;
+
+/// Runs a command that can share a process, alone or not: nodes end by signals and their lifecycle, a recording with `end`.
+pub async fn start(command: Command, backends: &Backends, end: End) -> Result<()> {
     match command {
         Command::Node(node) => nodes::run(node, backends).await,
         Command::Reflex(options) => reflex::run(options, backends).await,
         Command::Fusion(options) => fusion::run(*options, backends).await,
         Command::Bridge(options) => bridge::run(options, backends).await,
-        Command::Record(options) => record::run(*options, backends, end).await,
+        Command::Record(options) => record::run(*options, backends, end()?).await,
         _ => bail!("no node that can share a process"),
     }
 }

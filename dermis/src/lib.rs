@@ -188,14 +188,17 @@ pub fn run(sensors: &'static Registry) -> ExitCode {
     let limit = log::start(format, level);
     // What a model computes once is kept for every command; nodes receive it by their parameters.
     dermis_skin::cache::use_folder(dermis_skin::cache::usual_folder());
-    let apart = Backends::default();
     let done = match cli.command {
         Command::Demo(options) => demo::run(&options),
-        Command::Node(node) => block_on(nodes::run(node, &apart)),
-        Command::Reflex(options) => block_on(reflex::run(options, &apart)),
-        Command::Fusion(options) => block_on(fusion::run(*options, &apart)),
+        command @ (Command::Node(_)
+        | Command::Reflex(_)
+        | Command::Fusion(_)
+        | Command::Bridge(_)
+        | Command::Record(_)) => {
+            let end: container::End = Box::new(|| Ok(Box::pin(interrupt::ended()?)));
+            block_on(container::start(command, &Backends::default(), end))
+        }
         Command::Watch(options) => block_on(watch::run(options)),
-        Command::Bridge(options) => block_on(bridge::run(options, &apart)),
         Command::Device(device) => device::run(&device),
         Command::Container(options) => block_on(container::run(options)),
         Command::Launch(options) => block_on(launch::run(&options, format)),
@@ -211,9 +214,6 @@ pub fn run(sensors: &'static Registry) -> ExitCode {
         Command::Compare(options) => compare::run(&options),
         Command::Real2Sim(command) => real2sim::run(&command),
         Command::Bundle(bundle) => bundle::run(&bundle),
-        Command::Record(options) => {
-            block_on(async { record::run(*options, &apart, interrupt::ended()?).await })
-        }
         Command::Play(options) => block_on(play::run(*options)),
         Command::Bag(bag) => bags::run(&bag),
         Command::Bounds(options) => bounds::run(&options),
