@@ -7,12 +7,13 @@
 
 use std::pin::Pin;
 
-use anyhow::{Context, Result, bail};
-use clap::{Args, Parser};
+use anyhow::{Error, Result, bail};
+use clap::{Args, Subcommand};
+use dermis_launch::NODE_SEPARATOR;
 use tokio::task::JoinSet;
 
 use crate::backend::Backends;
-use crate::{Cli, Command, bridge, fusion, interrupt, nodes, record, reflex, sentence};
+use crate::{Command, bridge, fusion, interrupt, nodes, record, reflex};
 
 /// What runs in the process.
 #[derive(Args)]
@@ -23,59 +24,74 @@ pub struct Options {
     nodes: Vec<String>,
 }
 
-/// Between the arguments of one node and those of the next.
-const SEPARATOR: &str = "--";
+/// A command that can share a process with others.
+#[derive(Subcommand)]
+pub enum Node {
+    #[command(flatten)]
+    Skin(nodes::Node),
+    /// Act on touch: stop or slow a robot by rules on its contacts, and on the loss of its senses.
+    Reflex(reflex::Options),
+    /// Merge the contacts of all skins of a robot into one list for its body, with wrenches and joint torques.
+    Fusion(Box<fusion::Options>),
+    /// Offer every skin in the ROS domain as JSON over zenoh, for clients that know no ROS.
+    Bridge(bridge::Options),
+    /// Record what is published into a bag.
+    Record(Box<record::Options>),
+}
 
-/// Whether a command can share a process with others.
-pub fn can_share(command: &Command) -> bool {
-    matches!(
-        command,
-        Command::Node(_) | Command::Reflex(_) | Command::Fusion(_) | Command::Bridge(_) | Command::Record(_)
-    )
+/// When what has no end of its own ends; made once that begins.
+type End = Box<dyn FnOnce() -> Result<Pin<Box<dyn Future<Output = ()> + Send>>> + Send>;
+
+impl Node {
+    /// Runs it in a process of its own, until Ctrl-C or SIGTERM.
+    pub async fn run_alone(self) -> Result<()> {
+        self.run(&Backends::default(), Box::new(|| Ok(Box::pin(interrupt::ended()?)))).await
+    }
+
+    /// Nodes end by signals and through their lifecycle, a recording with `end`.
+    async fn run(self, backends: &Backends, end: End) -> Result<()> {
+        match self {
+            Self::Skin(node) => nodes::run(node, backends).await,
+            Self::Reflex(options) => reflex::run(options, backends).await,
+            Self::Fusion(options) => fusion::run(*options, backends).await,
+            Self::Bridge(options) => bridge::run(options, backends).await,
+            Self::Record(options) => record::run(*options, backends, end()?).await,
+        }
+    }
 }
 
 /// Runs until Ctrl-C or SIGTERM, until a node fails, or until all have ended.
 pub async fn run(options: Options) -> Result<()> {
-    let commands: Vec<(String, Command)> =
-        options.nodes.split(|word| word == SEPARATOR).map(parse).collect::<Result<_>>()?;
-    let ended = interrupt::ended()?;
-    let (end, ends) = tokio::sync::watch::channel(false);
+    let nodes: Vec<(String, Node)> =
+        options.nodes.split(|word| word == NODE_SEPARATOR).map(parse).collect::<Result<_>>()?;
+    let mut ended = std::pin::pin!(interrupt::ended()?);
     let backends = Backends::one_session();
     let mut running = JoinSet::new();
-    for (name, command) in commands {
-        let (backends, mut ends) = (backends.clone(), ends.clone());
+    for (name, node) in nodes {
+        let backends = backends.clone();
         running.spawn(async move {
-            let end = async move {
-                // Whoever would tell it is gone only with the process.
-                let _ = ends.wait_for(|end| *end).await;
-            };
-            let done = start(command, &backends, Box::new(|| Ok(Box::pin(end)))).await;
-            (name, done)
+            let end: End = Box::new(|| Ok(Box::pin(dermis_node::end_of_all_nodes())));
+            node.run(&backends, end).await.map_err(|error| error.context(format!("`{name}` failed")))?;
+            Ok(name)
         });
     }
-    let end_all = || {
-        end.send_replace(true);
-        dermis_node::end_all_nodes();
-    };
-    let mut ended = std::pin::pin!(ended);
     let mut stopping = false;
     let mut failures = Vec::new();
     loop {
         tokio::select! {
             () = &mut ended, if !stopping => {
                 stopping = true;
-                end_all();
+                dermis_node::end_all_nodes();
             }
             done = running.join_next() => {
                 let Some(done) = done else { break };
-                let (name, done) = done.context("a node has panicked")?;
-                match done {
-                    Ok(()) if stopping || running.is_empty() => {}
-                    Ok(()) => tracing::info!("`{name}` has ended; the other nodes of this process go on"),
+                match done.map_err(|panic| Error::from(panic).context("a node has panicked")).flatten() {
+                    Ok(_) if stopping || running.is_empty() => {}
+                    Ok(name) => tracing::info!("`{name}` has ended; the other nodes of this process go on"),
                     Err(error) => {
-                        failures.push(error.context(format!("`{name}` failed")));
+                        failures.push(error);
                         stopping = true;
-                        end_all();
+                        dermis_node::end_all_nodes();
                     }
                 }
             }
@@ -90,35 +106,18 @@ pub async fn run(options: Options) -> Result<()> {
 }
 
 /// A node by its arguments; it goes by the command and what follows it.
-fn parse(words: &[String]) -> Result<(String, Command)> {
+fn parse(words: &[String]) -> Result<(String, Node)> {
     if words.is_empty() {
         bail!(
-            "`dermis container` has nothing before or after a `{SEPARATOR}`; write a node on both sides of it"
+            "`dermis container` has nothing before or after a `{NODE_SEPARATOR}`; write a node on both sides of it"
         );
     }
     let name = format!("dermis {}", words.join(" "));
-    let all = std::iter::once("dermis").chain(words.iter().map(String::as_str));
-    match Cli::try_parse_from(all) {
-        Ok(cli) if can_share(&cli.command) => Ok((name, cli.command)),
-        Ok(_) => bail!(
+    match crate::parse(words).map_err(Error::msg)? {
+        Command::Node(node) => Ok((name, node)),
+        _ => bail!(
             "`{name}` is no node that can share a process; these can: `run`, a sensor family, `fusion`, `reflex`, `bridge`, `record`"
         ),
-        Err(error) => bail!("`{name}`: {}", sentence(&error)),
-    }
-}
-
-/// When what has no end of its own ends; made once that begins.
-pub type End = Box<dyn FnOnce() -> Result<Pin<Box<dyn Future<Output = ()> + Send>>> + Send>;
-
-/// Runs a command that can share a process, alone or not: nodes end by signals and their lifecycle, a recording with `end`.
-pub async fn start(command: Command, backends: &Backends, end: End) -> Result<()> {
-    match command {
-        Command::Node(node) => nodes::run(node, backends).await,
-        Command::Reflex(options) => reflex::run(options, backends).await,
-        Command::Fusion(options) => fusion::run(*options, backends).await,
-        Command::Bridge(options) => bridge::run(options, backends).await,
-        Command::Record(options) => record::run(*options, backends, end()?).await,
-        _ => bail!("no node that can share a process"),
     }
 }
 
@@ -131,9 +130,9 @@ mod tests {
     }
 
     fn parsed(text: &str) -> Result<Vec<String>, String> {
-        let cli = Cli::try_parse_from(words(text)).map_err(|error| sentence(&error))?;
-        let Command::Container(options) = cli.command else { return Err("another command".to_owned()) };
-        let nodes = options.nodes.split(|word| word == SEPARATOR).map(|words| Ok(parse(words)?.0));
+        let command = crate::parse(&words(text)[1..])?;
+        let Command::Container(options) = command else { return Err("another command".to_owned()) };
+        let nodes = options.nodes.split(|word| word == NODE_SEPARATOR).map(|words| Ok(parse(words)?.0));
         nodes.collect::<Result<_>>().map_err(|error| error.to_string())
     }
 

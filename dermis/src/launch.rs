@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use anyhow::{Context, Result, bail};
-use clap::{Args, Parser};
+use clap::Args;
 use dermis_launch::{Host, LogOptions, NodeRequest, Refusal};
 use dermis_node::Reach;
 use dermis_operate::launching;
@@ -108,22 +108,17 @@ struct Dermis {
     program: PathBuf,
 }
 
-fn parse(arguments: &[String]) -> Result<crate::Cli, clap::Error> {
-    crate::Cli::try_parse_from(std::iter::once("dermis").chain(arguments.iter().map(String::as_str)))
-}
-
 impl Host for Dermis {
     fn program(&self) -> &Path {
         &self.program
     }
 
     fn check(&self, arguments: &[String]) -> Result<(), String> {
-        let refused = |error| format!("`dermis {}`: {}", arguments.join(" "), crate::sentence(&error));
-        parse(arguments).map(drop).map_err(refused)
+        crate::parse(arguments).map(drop)
     }
 
     fn can_share(&self, arguments: &[String]) -> bool {
-        parse(arguments).is_ok_and(|cli| crate::container::can_share(&cli.command))
+        matches!(crate::parse(arguments), Ok(crate::Command::Node(_)))
     }
 
     fn network(&self, text: &str) -> Result<(), String> {

@@ -57,8 +57,6 @@ use dermis_io::pipe::ReaderGone;
 use dermis_operate::OperateError;
 use dermis_sensor::Registry;
 
-use backend::Backends;
-
 #[derive(Parser)]
 #[command(
     name = "dermis",
@@ -78,11 +76,7 @@ enum Command {
     /// A simulated skin behind a pseudo-terminal, the node that reads it, and a table of what it feels.
     Demo(demo::Options),
     #[command(flatten)]
-    Node(nodes::Node),
-    /// Act on touch: stop or slow a robot by rules on its contacts, and on the loss of its senses.
-    Reflex(reflex::Options),
-    /// Merge the contacts of all skins of a robot into one list for its body, with wrenches and joint torques.
-    Fusion(Box<fusion::Options>),
+    Node(container::Node),
     /// Run several nodes in one process, where a message from one to another crosses no socket.
     Container(container::Options),
     /// Start what a launch file names, keep it running, and gather what it says.
@@ -91,8 +85,6 @@ enum Command {
     LaunchGuard,
     /// Show what running skins feel, whoever started them.
     Watch(watch::Options),
-    /// Offer every skin in the ROS domain as JSON over zenoh, for clients that know no ROS.
-    Bridge(bridge::Options),
     /// Put a simulated skin, or a recorded one, behind a pseudo-terminal.
     #[command(subcommand)]
     Device(device::Device),
@@ -117,8 +109,6 @@ enum Command {
     /// Make model bundles of models that were trained elsewhere.
     #[command(subcommand)]
     Bundle(bundle::Bundle),
-    /// Record what is published into a bag.
-    Record(Box<record::Options>),
     /// Publish what a bag holds.
     Play(Box<play::Options>),
     /// Look into a bag, check, mend and cut it.
@@ -170,12 +160,8 @@ pub fn run(sensors: &'static Registry) -> ExitCode {
     registry::choose(sensors);
     let cli = Cli::parse();
     let level = match cli.command {
-        Command::Node(_)
-        | Command::Reflex(_)
-        | Command::Fusion(_)
-        | Command::Bridge(_)
-        | Command::Container(_)
-        | Command::Device(_) => "info",
+        Command::Node(container::Node::Record(_)) => "warn",
+        Command::Node(_) | Command::Container(_) | Command::Device(_) => "info",
         _ => "warn",
     };
     let format = match log::Format::choose(cli.log_format) {
@@ -190,14 +176,7 @@ pub fn run(sensors: &'static Registry) -> ExitCode {
     dermis_skin::cache::use_folder(dermis_skin::cache::usual_folder());
     let done = match cli.command {
         Command::Demo(options) => demo::run(&options),
-        command @ (Command::Node(_)
-        | Command::Reflex(_)
-        | Command::Fusion(_)
-        | Command::Bridge(_)
-        | Command::Record(_)) => {
-            let end: container::End = Box::new(|| Ok(Box::pin(interrupt::ended()?)));
-            block_on(container::start(command, &Backends::default(), end))
-        }
+        Command::Node(node) => block_on(node.run_alone()),
         Command::Watch(options) => block_on(watch::run(options)),
         Command::Device(device) => device::run(&device),
         Command::Container(options) => block_on(container::run(options)),
@@ -264,12 +243,15 @@ fn report(error: &anyhow::Error, format: log::Format) {
     }
 }
 
-/// What clap refuses, as one sentence.
-fn sentence(error: &clap::Error) -> String {
-    let text = error.to_string();
-    let sentence = text.split("\nUsage:").next().unwrap_or_default();
-    let sentence = sentence.split_whitespace().collect::<Vec<_>>().join(" ");
-    sentence.trim_start_matches("error: ").to_owned()
+/// The command that these arguments are; one sentence where they are none.
+fn parse(arguments: &[String]) -> Result<Command, String> {
+    let all = std::iter::once("dermis").chain(arguments.iter().map(String::as_str));
+    Cli::try_parse_from(all).map(|cli| cli.command).map_err(|error| {
+        let text = error.to_string();
+        let sentence = text.split("\nUsage:").next().unwrap_or_default();
+        let sentence = sentence.split_whitespace().collect::<Vec<_>>().join(" ");
+        format!("`dermis {}`: {}", arguments.join(" "), sentence.trim_start_matches("error: "))
+    })
 }
 
 /// Runs asynchronous work on a runtime of its own.
@@ -289,7 +271,7 @@ mod tests {
     #[test]
     fn a_node_is_run_by_its_skin_or_by_its_family() {
         let node = |arguments: &[&str]| match Cli::try_parse_from(arguments).map(|cli| cli.command) {
-            Ok(Command::Node(_)) => Ok(()),
+            Ok(Command::Node(container::Node::Skin(_))) => Ok(()),
             Ok(_) => Err("another command".to_owned()),
             Err(error) => Err(error.to_string()),
         };

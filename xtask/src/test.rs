@@ -82,28 +82,21 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
         Some(step("ROS 2", || environment::ros(root))?)
     };
     // Cargo on everything that can be built here, in the environment that it needs.
-    let everything = |arguments: &[&str]| {
+    let on = |selection: [&'static str; 2], arguments: &[&str]| {
         let mut c = cargo(root);
         c.args(arguments);
         match &ros {
-            Some(ros) => c.args(WITH_ROS).envs(ros.variables()),
+            Some(ros) => c.args(selection).envs(ros.variables()),
             None => c.args(WITHOUT_ROS),
         };
         c
     };
+    let everything = |arguments: &[&str]| on(WITH_ROS, arguments);
+    let with_ros_in_program = |arguments: &[&str]| on(ROS_IN_PROGRAM, arguments);
     // Release, because that is what ships, and training in it takes seconds.
     step("build", || execute(&mut everything(&BUILD)))?;
-    // Cargo on everything, with ROS 2 in the program, too, where it is there.
-    let whole = |arguments: &[&str]| match &ros {
-        Some(ros) => {
-            let mut c = cargo(root);
-            c.args(arguments).args(ROS_IN_PROGRAM).envs(ros.variables());
-            c
-        }
-        None => everything(arguments),
-    };
     if !options.no_lint {
-        step("lints", || lints::run(&target_dir(root), &mut whole(&LINTED)))?;
+        step("lints", || lints::run(&target_dir(root), &mut with_ros_in_program(&LINTED)))?;
     }
     let data =
         std::env::var("DERMIS_DATA").unwrap_or_else(|_| root.join("../shared/data").display().to_string());
@@ -134,10 +127,12 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
     }
     if ros.is_some() {
         let programs = step("build with ROS 2", || {
-            build_aside(&release, &["dermis", "dermis-train"], || execute(&mut whole(&BUILD_ROS)))
+            build_aside(&release, &["dermis", "dermis-train"], || {
+                execute(&mut with_ros_in_program(&BUILD_ROS))
+            })
         })?;
         let tests = [&tests[..], &["--test=ros2"]].concat();
-        step("tests with ROS 2", || nextest(whole(&tests), &programs, "binary(ros2)"))?;
+        step("tests with ROS 2", || nextest(with_ros_in_program(&tests), &programs, "binary(ros2)"))?;
     }
     if skipped.is_empty() {
         println!("all tests passed, nothing skipped");

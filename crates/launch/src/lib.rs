@@ -38,5 +38,8 @@ pub use backoff::Backoff;
 pub use error::{LaunchError, LaunchErrors};
 pub use guard::guard;
 pub use log::{Format, LogLimits, LogOptions};
-pub use plan::{Declared, Host, NodeRequest, Plan, Process, Ready, Refusal, Restart, SharedNode, Stop, load};
+pub use plan::{
+    Declared, Host, NODE_SEPARATOR, NodeRequest, Plan, Process, Ready, Refusal, Restart, SharedNode, Stop,
+    load,
+};
 pub use supervise::{Ended, run};

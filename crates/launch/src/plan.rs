@@ -16,6 +16,7 @@ use crate::substitute::PUT_IN;
 use loader::Loader;
 use scope::Around;
 
+pub use container::NODE_SEPARATOR;
 pub use types::{Declared, Host, NodeRequest, Plan, Process, Ready, Refusal, Restart, SharedNode, Stop};
 
 mod arguments;
@@ -72,7 +73,7 @@ pub fn load(path: &Path, arguments: &[String], tmp: &Path, host: &dyn Host) -> R
     let declared = loader.file(path, given, &outer);
     let waits = loader.waits();
     loader.beside();
-    let processes = loader.shared(&waits);
+    let processes = loader.with_containers(&waits);
     let log_limits = loader.log_limits;
     loader.faults.or(Plan { file: path.to_owned(), arguments: declared, processes, log_limits })
 }

@@ -3,31 +3,33 @@
 
 #![expect(clippy::unwrap_used, reason = "a panic is the report of a failed test")]
 
-use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
-use std::sync::mpsc::{Receiver, channel};
-use std::sync::{Arc, OnceLock};
-use std::thread::JoinHandle;
-use std::time::{Duration, Instant};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::Receiver;
+use std::time::Duration;
 
 use dermis_estimate::testing::linear_graph;
 use dermis_inference::{
     Baseline, Bundle, BundleWriter, CorrectionSection, FeatureConfig, MAP_DISPLACEMENT, Manifest,
     ModelSection, OutputConfig, OutputSpec, PeakSection, TrainingSection,
 };
-use dermis_integration_tests::{Peer, backend, client_python, domain, program, root};
+use dermis_integration_tests::{Peer, client_python, program, root};
 use dermis_inversion::{Correction, CorrectionSettings, ForcePrior, PeakSettings, Search, Settings};
-use dermis_model::{ForwardModel, Indentation, Stimulus};
-use dermis_msgs::Message;
-use dermis_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
+use dermis_model::Indentation;
+use dermis_msgs::diagnostic_msgs::msg::DiagnosticStatus;
 use dermis_msgs::msg::{Contact, ContactArray, DisplacementMap, ForceMap};
-use dermis_node::{Node, NodeOptions, Qos, Subscription};
+use dermis_node::Qos;
 use dermis_skin::{SkinDescription, Surface};
 use dermis_transport::Pty;
-use dermis_transport::framing::{NativeEncoder, NativeFormat};
 use nalgebra::{DMatrix, Point3, Vector3};
+
+use limb::{FAILED, Limb, PRESS, TWO, both, model, pressed, presses, strain};
+use operator::Operator;
+
+mod limb;
+mod operator;
 
 const SOON: Duration = Duration::from_secs(90);
 /// \[N\] of every press.
@@ -94,94 +96,6 @@ fn bundle(folder: &Path, settings: Settings) -> PathBuf {
     let path = folder.join("bundle");
     BundleWriter::new(manifest).write(&path, &graph).unwrap();
     path
-}
-
-/// What an operator hears.
-struct Operator {
-    folder: tempfile::TempDir,
-    node: Node,
-    subscriptions: Vec<Subscription>,
-    contacts: Receiver<ContactArray>,
-    diagnostics: Receiver<DiagnosticStatus>,
-}
-
-impl Operator {
-    fn new() -> Self {
-        let node =
-            Node::open(NodeOptions::new("operator").domain_id(domain()).localhost_only(true), &backend())
-                .unwrap();
-        let mut operator = Self {
-            folder: tempfile::tempdir().unwrap(),
-            node,
-            subscriptions: Vec::new(),
-            contacts: channel().1,
-            diagnostics: channel().1,
-        };
-        operator.contacts = operator.listen("contacts", Qos::sensor_data());
-        let (say, diagnostics) = channel();
-        let heard = operator
-            .node
-            .subscribe::<DiagnosticArray>("/diagnostics", Qos::reliable(10), move |array, _| {
-                array.status.into_iter().for_each(|status| {
-                    let _ = say.send(status);
-                });
-            })
-            .unwrap();
-        operator.subscriptions.push(heard);
-        operator.diagnostics = diagnostics;
-        operator
-    }
-
-    fn listen<T: Message>(&mut self, topic: &str, qos: Qos) -> Receiver<T> {
-        let (send, receive) = channel();
-        let heard = self.node.subscribe::<T>(topic, qos, move |message, _| {
-            let _ = send.send(message);
-        });
-        self.subscriptions.push(heard.unwrap());
-        receive
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.folder.path().join(name)
-    }
-
-    /// Starts the node on the device `tty` with a bundle for one contact; its log goes to the file `log`.
-    fn start(&self, skin: &Path, arguments: &[&str]) -> Peer {
-        self.start_with(skin, &bundle(self.folder.path(), Settings::new(TIP, 40.0)), arguments)
-    }
-
-    /// The same with another bundle.
-    fn start_with(&self, skin: &Path, model: &Path, arguments: &[&str]) -> Peer {
-        let mut command = Command::new(program("dermis"));
-        command.current_dir(root()).args(["hapdef", "--source"]);
-        command.arg(format!("serial://{}?baud=115200", self.path("tty").display())).arg("--skin").arg(skin);
-        command.arg("--model").arg(model).args(arguments);
-        Peer::start(command.stderr(File::create(self.path("log")).unwrap()))
-    }
-
-    fn hears<T: std::fmt::Debug>(
-        &self,
-        from: &Receiver<T>,
-        what: &str,
-        mut fits: impl FnMut(&T) -> bool,
-    ) -> T {
-        let deadline = Instant::now() + SOON;
-        let mut last = None;
-        loop {
-            match from.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
-                Ok(message) if fits(&message) => return message,
-                Ok(message) => last = Some(message),
-                Err(_) => {
-                    let log = std::fs::read_to_string(self.path("log")).unwrap();
-                    panic!("nothing said {what}; the last: {last:#?}\n{log}")
-                }
-            }
-        }
-    }
-
-    fn contacts_say(&self, what: &str, fits: impl FnMut(&ContactArray) -> bool) -> ContactArray {
-        self.hears(&self.contacts, what, fits)
-    }
 }
 
 fn pressing(contact: &Contact) -> f64 {
@@ -292,124 +206,6 @@ fn a_limb_that_sends_frames_a_thousand_times_a_second() {
 #[test]
 fn a_limb_that_sends_lines_of_counts_ten_times_a_second() {
     pressed_and_found("ascii", 10.0);
-}
-
-/// Presses the middle of the shin.
-const PRESS: u8 = 1;
-/// g1 is at the upper end of its range.
-const FAILED: u8 = 2;
-/// Presses the shin in two locations.
-const TWO: u8 = 4;
-
-/// The model of the shin, made once.
-fn model() -> &'static Arc<dyn ForwardModel> {
-    static MODEL: OnceLock<Arc<dyn ForwardModel>> = OnceLock::new();
-    MODEL.get_or_init(|| dermis_hapdef::model(&SkinDescription::load(shin()).unwrap()).unwrap())
-}
-
-/// Where and in which direction [`PRESS`] presses.
-fn pressed() -> (Point3<f64>, Vector3<f64>) {
-    place(model().surface(), 0.02, 0.0)
-}
-
-/// Where [`TWO`] presses.
-fn both() -> [Point3<f64>; 2] {
-    [place(model().surface(), 0.03, 0.005).0, place(model().surface(), -0.04, -0.02).0]
-}
-
-/// Presses of [`FORCE`] in these locations.
-fn presses(locations: &[Point3<f64>]) -> Vec<Indentation> {
-    let press = |at: &Point3<f64>| {
-        let (position, normal) = model().surface().project(at);
-        Indentation::sphere(position, -normal * FORCE, TIP)
-    };
-    locations.iter().map(press).collect()
-}
-
-/// What the gauges read of these presses.
-fn strain(contacts: Vec<Indentation>) -> Vec<f64> {
-    let mut strain = vec![0.0; 10];
-    model().response(&Stimulus { contacts, ..Stimulus::default() }, &mut strain).unwrap();
-    strain
-}
-
-/// A limb; it does what its mode says until it is dropped.
-struct Limb {
-    mode: Arc<AtomicU8>,
-    stop: Arc<AtomicBool>,
-    thread: Option<JoinHandle<()>>,
-}
-
-impl Limb {
-    /// Frames a second.
-    const RATE: u32 = 100;
-
-    /// With a gauge whose wire was never connected.
-    fn plug(link: &Path) -> Self {
-        Self::made(link, Some(6), [1.0; 10])
-    }
-
-    /// With a gauge that is not connected, and gauges that read so many times what the design says.
-    fn made(link: &Path, open: Option<usize>, gains: [f64; 10]) -> Self {
-        let skin = SkinDescription::load(shin()).unwrap();
-        let one = strain(presses(&[pressed().0]));
-        let two = strain(presses(&both()));
-        let mode = Arc::new(AtomicU8::new(0));
-        let stop = Arc::new(AtomicBool::new(false));
-        let (current, ended) = (Arc::clone(&mode), Arc::clone(&stop));
-        let mut pty = Pty::open().unwrap();
-        pty.link(link).unwrap();
-        let thread = std::thread::spawn(move || {
-            let mut encoder = NativeEncoder::new(NativeFormat::U16);
-            let mut random = 1_u64;
-            let mut noise = move || {
-                let mut uniform = || {
-                    random = random
-                        .wrapping_mul(6_364_136_223_846_793_005)
-                        .wrapping_add(1_442_695_040_888_963_407);
-                    (random >> 40) as f64 / f64::from(1_u32 << 23) - 1.0
-                };
-                skin.noise * (uniform() + uniform() + uniform())
-            };
-            let begun = Instant::now();
-            for k in 0_u32.. {
-                if ended.load(Ordering::Acquire) {
-                    return;
-                }
-                let mode = current.load(Ordering::Acquire);
-                let share = |flag: u8| if mode & flag != 0 { 1.0 } else { 0.0 };
-                let mut counts: Vec<f32> = one
-                    .iter()
-                    .zip(&two)
-                    .zip(&gains)
-                    .map(|((one, two), gain)| gain * (one * share(PRESS) + two * share(TWO)))
-                    .map(|s| ((s + noise() - skin.wire.offset) / skin.wire.scale).round() as f32)
-                    .collect();
-                if let Some(open) = open {
-                    counts[open] = 0.0;
-                }
-                if mode & FAILED != 0 {
-                    counts[1] = 4095.0;
-                }
-                let time = u64::from(k) * u64::from(1_000_000 / Self::RATE) + 1;
-                let _ = pty.write_lossy(encoder.encode(k, time, &counts).unwrap());
-                let next = begun + Duration::from_secs(1) / Self::RATE * (k + 1);
-                std::thread::sleep(next.saturating_duration_since(Instant::now()));
-            }
-        });
-        Self { mode, stop, thread: Some(thread) }
-    }
-
-    fn becomes(&self, mode: u8) {
-        self.mode.store(mode, Ordering::Release);
-    }
-}
-
-impl Drop for Limb {
-    fn drop(&mut self) {
-        self.stop.store(true, Ordering::Release);
-        let _ = self.thread.take().map(JoinHandle::join);
-    }
 }
 
 /// What tells a gauge that fails from a press (`condition.coupled` of the skin).

@@ -17,15 +17,15 @@ use crate::file::Entry;
 
 /// The command that runs nodes in one process.
 const COMMAND: &str = "container";
-/// Between the arguments of one node and those of the next.
-const SEPARATOR: &str = "--";
+/// What separates the arguments of two nodes of a container.
+pub const NODE_SEPARATOR: &str = "--";
 
 /// The arguments of a container.
 pub(super) fn arguments(nodes: &[SharedNode]) -> Vec<String> {
     let mut all = vec![COMMAND.to_owned()];
     for (i, node) in nodes.iter().enumerate() {
         if i > 0 {
-            all.push(SEPARATOR.to_owned());
+            all.push(NODE_SEPARATOR.to_owned());
         }
         all.extend_from_slice(&node.arguments);
     }
@@ -53,9 +53,9 @@ impl Loader<'_> {
         let name = inner.container.clone()?;
         let command = command?;
         if command.own && self.host.can_share(&command.arguments) {
-            if command.arguments.iter().any(|argument| argument == SEPARATOR) {
+            if command.arguments.iter().any(|argument| argument == NODE_SEPARATOR) {
                 let reason = format!(
-                    "has the argument `{SEPARATOR}`, which separates the nodes of a container; leave one of them away"
+                    "has the argument `{NODE_SEPARATOR}`, which separates the nodes of a container; leave one of them away"
                 );
                 self.faults.push(at.refuse("container", reason));
             }
@@ -69,7 +69,7 @@ impl Loader<'_> {
     }
 
     /// What is started: entries of one container as one process. `waits` are indices of entries, of the first one of a container.
-    pub(super) fn shared(&mut self, waits: &[Vec<usize>]) -> Vec<Process> {
+    pub(super) fn with_containers(&mut self, waits: &[Vec<usize>]) -> Vec<Process> {
         self.check_container_names();
         let processes = std::mem::take(&mut self.processes);
         // Otherwise entries and processes do not correspond, and the plan is of no use.

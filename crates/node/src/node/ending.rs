@@ -23,6 +23,12 @@ pub fn end_all_nodes() {
     ALL.send_replace(true);
 }
 
+/// Waits for [`end_all_nodes`]: for what runs beside nodes and is to end with them.
+pub async fn end_of_all_nodes() {
+    // The sender lasts as long as the process.
+    let _ = ALL.subscribe().wait_for(|all| *all).await;
+}
+
 /// How far the end of a node is.
 #[derive(Default)]
 pub(super) struct Closing {
@@ -52,9 +58,8 @@ impl Node {
     /// When the signals cannot be listened to; the node is not shut down then.
     pub async fn wait_for_shutdown(&self) -> Result<(), NodeError> {
         let mut ended = self.0.ended.subscribe();
-        let mut all = ALL.subscribe();
         let signalled = runtime()?.spawn(async move {
-            let all = all.wait_for(|all| *all);
+            let all = end_of_all_nodes();
             #[cfg(unix)]
             {
                 use tokio::signal::unix::{SignalKind, signal};
@@ -62,13 +67,13 @@ impl Node {
                 tokio::select! {
                     result = tokio::signal::ctrl_c() => result,
                     _ = terminate.recv() => Ok(()),
-                    _ = all => Ok(()),
+                    () = all => Ok(()),
                 }
             }
             #[cfg(not(unix))]
             tokio::select! {
                 result = tokio::signal::ctrl_c() => result,
-                _ = all => Ok(()),
+                () = all => Ok(()),
             }
         });
         let abort = signalled.abort_handle();
