@@ -28,7 +28,7 @@ use dermis_skin::{ChannelFlags, Contact, Estimate, ImageGrid, Stamp};
 
 pub use choice::{finder_of, learned_finder_of};
 pub use inversion::{InversionFinder, Start};
-pub(crate) use inversion::{Learned, follow, provisional, refined, solve};
+pub(crate) use inversion::{Learned, follow, provisional, refined, solve, starts};
 pub use map::MapFinder;
 pub(crate) use map::{Peaks, peaks};
 pub use network::NetworkFinder;

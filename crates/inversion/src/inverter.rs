@@ -169,11 +169,7 @@ impl Inverter {
             }
             best = found;
         }
-        let mut solution = self.solution(&best, &data);
-        if let [single] = solution.contacts.as_mut_slice() {
-            self.spread(single, &modes, &data);
-        }
-        Ok(solution)
+        Ok(self.among(&best, &modes, &data))
     }
 
     /// How surely readings show a contact at all: by how much the best single one of the dictionary lowers the sum of
@@ -441,7 +437,7 @@ impl Inverter {
         }
         contacts.sort_by(|a, b| b.normal_force().total_cmp(&a.normal_force()));
         let freedom = counted.saturating_sub(self.settings.unknowns.count() * contacts.len());
-        Solution { contacts, chi2: best.chi2, freedom }
+        Solution { contacts, minima: Vec::new(), chi2: best.chi2, freedom }
     }
 
     /// Readings in units of their noise; what is missing is 0.

@@ -180,6 +180,12 @@ impl Settings {
         self.contacts > 1 && self.search == Search::Pairs
     }
 
+    /// Whether one contact is looked for, wherever a minimum may be.
+    #[must_use]
+    pub fn is_single(&self) -> bool {
+        self.contacts == 1 && self.search != Search::Near
+    }
+
     /// Whether what is found depends on what was found in the frame before.
     #[must_use]
     pub fn follows(&self) -> bool {

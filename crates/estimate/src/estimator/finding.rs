@@ -11,11 +11,14 @@ use super::SkinEstimator;
 use super::background::Job;
 use crate::finder::{
     Learned, Peaks, Regressed, follow, is_flat, peaks, provisional, readings, refined, regressed, solve,
+    starts,
 };
 use crate::models::Pipeline;
 
 /// Presence by probability begins above the first and ends below the second.
 const PRESENT: (f64, f64) = (0.5, 0.4);
+/// \[Hz\] of frames up to which each is searched for a single contact, which takes a millisecond, and ten at times.
+const FAST: f64 = 200.0;
 /// What is said of frames that come before the first search of a touch has ended.
 const GUESS: &str = "contacts are a first guess: the search for all of them has not ended yet";
 
@@ -177,7 +180,10 @@ impl SkinEstimator {
         };
         let solution =
             solution.map_err(|e| format!("model {}: {e}", self.pipelines[index].path.display()))?;
-        let (mut contacts, refined) = refined(&inverter, solution.contacts, learned, &mut self.before);
+        let (mut contacts, refined) = refined(&inverter, &solution.contacts, learned);
+        if let Some(starts) = starts(&inverter, solution) {
+            self.before = starts;
+        }
         if !refined {
             return Ok((contacts, None));
         }
@@ -192,20 +198,33 @@ impl SkinEstimator {
 
     /// The contacts that explain the latest frame. Where searches run in the background, it is answered without waiting for one.
     fn solved(&mut self, inverter: &Arc<Inverter>, learned: Learned<'_>) -> Result<Solution, InverterError> {
-        let Some(background) = self.background.as_mut().filter(|_| inverter.settings().follows()) else {
+        let single = inverter.settings().is_single() && self.skin.rate > FAST;
+        let follows = single || inverter.settings().follows();
+        let Some(background) = self.background.as_mut().filter(|_| follows) else {
             return solve(inverter, &self.readings, learned, &self.before);
         };
         if let Some(found) = background.found() {
-            self.before = found?.contacts;
+            let found = found?;
+            self.searched = found.contacts.first().cloned();
+            self.before = starts(inverter, found).unwrap_or_default();
         }
-        if !background.is_searching() {
-            if let Some(solution) = follow(inverter, &self.readings, learned, &self.before)? {
-                return Ok(solution);
-            }
+        let mut followed = None;
+        if single || !background.is_searching() {
+            followed = follow(inverter, &self.readings, learned, &self.before)?;
+        }
+        // Where several contacts explain a frame, they are all that there are.
+        let other_minima = |s: &Solution| match (s.contacts.first(), &self.searched) {
+            (Some(now), Some(searched)) => single && inverter.has_moved(searched, now),
+            _ => single,
+        };
+        if !background.is_searching() && followed.as_ref().is_none_or(other_minima) {
             let job = Job::of(inverter, &self.readings, learned, &self.before);
             if let Err(job) = background.begin(job) {
                 return job.solve();
             }
+        }
+        if let Some(solution) = followed {
+            return Ok(solution);
         }
         if background.guesses() && self.verdict.quality == Quality::Ok {
             self.verdict.quality = Quality::Degraded;

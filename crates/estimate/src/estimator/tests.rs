@@ -451,6 +451,55 @@ fn frames_do_not_wait_for_a_search_in_the_background() {
     assert!(again.len() == 1 && (again[0].position.x + 0.007).abs() < 1e-3, "{again:?}");
 }
 
+/// Frames that come fast do not wait for the search of one contact either; those that come slowly do.
+#[test]
+fn a_single_contact_of_fast_frames_is_searched_in_the_background() {
+    let estimator = |rate: f64| {
+        let mut skin = nine();
+        skin.rate = rate;
+        let bundle = TestBundle { inversion: Some(Settings::new(0.004, 5.0)), ..TestBundle::default() };
+        let dir = tempfile::tempdir().unwrap();
+        bundle.write(&skin, dir.path());
+        let mut estimator = load_for(STRETCHED, &skin, &[dir.path()], &[]).unwrap();
+        estimator.search_in_background(true);
+        for k in 0..80 {
+            estimator.estimate(&both(k, &[])).unwrap();
+        }
+        (estimator, dir)
+    };
+    let press = [([-0.007, -0.006], 1.0)];
+    let (mut slow, _dir) = estimator(100.0);
+    let expected = slow.estimate(&both(80, &press)).unwrap().contacts;
+    assert_eq!((expected.len(), slow.verdict().quality), (1, Quality::Ok));
+    let (mut fast, _dir) = estimator(1000.0);
+    let first = fast.estimate(&both(80, &press)).unwrap().contacts;
+    assert_eq!((first.len(), fast.verdict().quality), (1, Quality::Degraded), "{}", fast.verdict().text);
+    let begun = std::time::Instant::now();
+    let mut k = 80;
+    let found = loop {
+        std::thread::sleep(std::time::Duration::from_millis(1));
+        // The noise of a frame comes again every four.
+        k += 4;
+        let found = fast.estimate(&both(k, &press)).unwrap().contacts;
+        if fast.verdict().quality == Quality::Ok {
+            break found;
+        }
+        assert!(begun.elapsed() < std::time::Duration::from_secs(20), "no search has ended");
+    };
+    assert!((found[0].position - expected[0].position).norm() < 1e-4, "{found:?}, not {expected:?}");
+    assert!((found[0].force - expected[0].force).norm() < 1e-2);
+    // It is followed where it goes, and forgotten where it ends.
+    for step in 1..=20 {
+        k += 4;
+        let at = -0.006 + 3e-4 * f64::from(step);
+        let moved = fast.estimate(&both(k, &[([-0.007, at], 1.0)])).unwrap().contacts;
+        assert!(moved.len() == 1 && (moved[0].position.y - at).abs() < 5e-4, "{at}: {moved:?}");
+    }
+    assert!(fast.estimate(&both(k + 4, &[])).unwrap().contacts.is_empty());
+    assert_eq!(fast.estimate(&both(k + 8, &press)).unwrap().contacts.len(), 1);
+    assert_eq!(fast.verdict().quality, Quality::Degraded, "another touch is searched anew");
+}
+
 #[test]
 fn dropped_frames_are_conditioned_all_the_same() {
     let bundle = TestBundle { taps: vec![0, 5], ..TestBundle::default() };

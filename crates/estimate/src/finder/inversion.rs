@@ -11,18 +11,24 @@ use dermis_skin::{Contact, Estimate, ForceComponents, ImageGrid};
 
 use super::{ConditionedFrame, ContactFinder, FindError, GivenMaps, readings, spread_forces};
 
-/// The contacts that an inverter `found` in a frame or, where it found none, those that were `learned`; and whether they are the
-/// former. `before` becomes what it found.
+/// The contacts that an inverter `found` in a frame or, where it found none, those that were `learned`; and whether they are the former.
 pub(crate) fn refined(
     inverter: &Inverter,
-    found: Vec<ContactEstimate>,
+    found: &[ContactEstimate],
     learned: Vec<Contact>,
-    before: &mut Vec<ContactEstimate>,
 ) -> (Vec<Contact>, bool) {
     let components = inverter.settings().unknowns.force_components();
     let contacts: Vec<Contact> = found.iter().map(|found| inverted(found, components)).collect();
-    *before = found;
     if contacts.is_empty() { (learned, false) } else { (contacts, true) }
+}
+
+/// Where the next frame begins: at the contacts or, of one contact that was looked for everywhere, at all minima that it may be. `None` where
+/// such a one is a guess.
+pub(crate) fn starts(inverter: &Inverter, solution: Solution) -> Option<Vec<ContactEstimate>> {
+    if !inverter.settings().is_single() {
+        return Some(solution.contacts);
+    }
+    (!solution.minima.is_empty() || solution.contacts.is_empty()).then_some(solution.minima)
 }
 
 /// What an inverter found, as a contact.
@@ -77,6 +83,9 @@ pub(crate) fn follow(
     if inverter.settings().search == Search::Near {
         return inverter.follow_near(readings, before, &learned.starts(inverter));
     }
+    if inverter.settings().is_single() {
+        return inverter.follow_minima(readings, before);
+    }
     inverter.follow(readings, before)
 }
 
@@ -88,6 +97,8 @@ pub(crate) fn provisional(
     learned: Learned<'_>,
     before: &[ContactEstimate],
 ) -> Result<Solution, InverterError> {
+    // Of the minima of one contact the first is the likeliest.
+    let before = if inverter.settings().is_single() { &before[..before.len().min(1)] } else { before };
     let mut starts = inverter.settings().indentations(before);
     if starts.is_empty() {
         starts = learned.starts(inverter);
@@ -240,9 +251,9 @@ impl InversionFinder {
             }
         };
         let others = if matches!(self.start, Start::Bundle(_)) { others } else { Vec::new() };
-        let mut forgotten = Vec::new();
-        let before = self.followed.as_mut().map_or(&mut forgotten, |followed| &mut followed.before);
-        Ok(refined(&self.inverter, found, others, before))
+        let answer = refined(&self.inverter, &found, others);
+        self.remember(found);
+        Ok(answer)
     }
 }
 
