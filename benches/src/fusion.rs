@@ -1,8 +1,8 @@
 //! What merging costs: eight skins at 1 kHz in one process, and how it grows with contacts, against the same filter in numpy.
 //!
 //! Time is simulated: reports come as fast as they are worked in. An update is the report of one skin with what it makes of the body: the
-//! tracks, contacts, wrenches and torques, and the message in CDR. The node answers at most 1,000 times a second, so that eight skins at 1 kHz are
-//! eight reports and one answer each millisecond. The peer has the contacts of all skins as arrays, takes every report for the contacts that it
+//! tracks, contacts, wrenches and torques, and the message in CDR. By default the node answers at most 1,000 times a second, so that eight
+//! skins at 1 kHz are eight reports and one answer each millisecond. The peer has the contacts of all skins as arrays, takes every report for the contacts that it
 //! is of, and neither assigns nor merges: what it computes is position, velocity and force with their covariances, of the same reports.
 
 use std::path::{Path, PathBuf};

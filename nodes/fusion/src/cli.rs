@@ -21,9 +21,12 @@ pub struct Arguments {
     /// Configuration file (TOML) with expected contacts and assumptions, in place of `--robot`.
     #[arg(long, conflicts_with = "robot")]
     config: Option<PathBuf>,
-    /// Answers a second; 0: one for each report, 1,000 at most.
+    /// Answers a second; 0: one for each report.
     #[arg(long, value_name = "HZ")]
     rate: Option<f64>,
+    /// Most answers to reports a second; 1,000 where neither this nor the configuration says another.
+    #[arg(long, value_name = "HZ")]
+    max_rate: Option<f64>,
     /// Coordinate frames to publish: `off`, `skins`, or `robot` (every link, as robot_state_publisher does).
     #[arg(long, value_enum)]
     transforms: Option<Transforms>,
@@ -59,6 +62,7 @@ impl Arguments {
             config.network = network;
         }
         config.rate = self.rate.unwrap_or(config.rate);
+        config.max_rate = self.max_rate.unwrap_or(config.max_rate);
         config.transforms = self.transforms.unwrap_or(config.transforms);
         config.assume_rest |= self.assume_rest;
         config.name = self.name.unwrap_or(config.name);
@@ -89,10 +93,10 @@ mod tests {
     fn options_win_over_the_file() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("f.toml");
-        std::fs::write(&file, "robot = 'r.toml'\nrate = 50.0\nnamespace = '/left'").unwrap();
+        std::fs::write(&file, "robot = 'r.toml'\nrate = 50.0\nmax_rate = 500\nnamespace = '/left'").unwrap();
         let file = file.display().to_string();
         let config = parse(&["--config", &file, "--rate", "10", "--transforms", "robot"]).unwrap();
-        assert_eq!((config.rate, config.transforms), (10.0, Transforms::Robot));
+        assert_eq!((config.rate, config.max_rate, config.transforms), (10.0, 500.0, Transforms::Robot));
         assert_eq!((config.robot, config.namespace.as_str()), (folder.path().join("r.toml"), "/left"));
         assert_eq!(parse(&["--robot", "r.toml"]).unwrap(), Config::new("r.toml"));
         assert!(parse(&[]).unwrap_err().contains("--robot"));

@@ -2,7 +2,8 @@
 //!
 //! ```toml
 //! robot = "humanoid.toml"      # relative to this file
-//! rate = 0.0                   # [Hz] of answers; 0: one for each report, 1,000 a second at most
+//! rate = 0.0                   # [Hz] of answers; 0: one for each report, `max_rate` a second at most
+//! max_rate = 1000.0            # [Hz] a report waits for 1/max_rate at most; where nodes share a process, 2000 costs little
 //! transforms = "skins"         # on /tf: `off`, `skins` (their frames), `robot` (links, too)
 //! assume_rest = false          # whether joints that no joint state tells of are taken for resting at 0
 //!
@@ -54,9 +55,12 @@ pub enum Transforms {
 pub struct Config {
     /// Robot file; relative to the configuration file.
     pub robot: PathBuf,
-    /// \[Hz\] of answers; 0: one for each report, 1,000 a second at most.
+    /// \[Hz\] of answers; 0: one for each report, [`max_rate`](Self::max_rate) a second at most.
     #[serde(default)]
     pub rate: f64,
+    /// \[Hz\] of answers to reports, at most: a report that comes sooner after an answer waits for the next.
+    #[serde(default = "usual_max_rate")]
+    pub max_rate: f64,
     /// Which coordinate frames are published.
     #[serde(default)]
     pub transforms: Transforms,
@@ -109,6 +113,10 @@ fn usual_name() -> String {
     "fusion".into()
 }
 
+fn usual_max_rate() -> f64 {
+    1000.0
+}
+
 fn root() -> String {
     "/".into()
 }
@@ -148,6 +156,7 @@ impl Config {
         Self {
             robot: robot.into(),
             rate: 0.0,
+            max_rate: usual_max_rate(),
             transforms: Transforms::default(),
             assume_rest: false,
             expected: Vec::new(),

@@ -1,6 +1,6 @@
 //! The node: messages of skins and joints in, what the body feels out.
 //!
-//! A report is worked in by the thread that brings it. An answer is made after each report (at most 1,000 a second), or at the configured
+//! A report is worked in by the thread that brings it. An answer is made after each report (at most `max_rate` a second), or at the configured
 //! rate, and every 0.1 s in any case: silence of this node is never to be taken for "no touch". What nobody listens to is not made.
 
 use std::collections::BTreeMap;
@@ -34,10 +34,8 @@ mod maps;
 const KEPT: usize = 10;
 /// Reports of one skin that may wait to be worked in.
 const WAITING: usize = 64;
-/// Shortest time between two answers.
-const LEAST_PERIOD: Duration = Duration::from_millis(1);
-/// After which a report that came too soon after an answer has its own.
-const TRAILING: Duration = Duration::from_millis(2);
+/// Shortest times between two answers, after which a report that came too soon after an answer has its own.
+const TRAILING: u32 = 2;
 /// Longest time between two answers.
 const HEARTBEAT: Duration = Duration::from_millis(100);
 /// Shortest time between two marker messages: viewers draw 30 times a second.
@@ -46,8 +44,10 @@ const MARKER_PERIOD: Duration = Duration::from_millis(33);
 const MAP_PERIOD: Duration = Duration::from_millis(33);
 /// \[s\] after which arrows vanish that nobody renews.
 const MARKER_LIFE: f64 = 0.3;
-/// \[Hz\] fastest rate of answers.
+/// \[Hz\] fastest rate of answers of their own.
 const MOST_RATE: f64 = 1000.0;
+/// \[Hz\] what `max_rate` may be: slower than the heartbeat it would say nothing.
+const MAX_RATES: std::ops::RangeInclusive<f64> = 10.0..=10_000.0;
 
 /// Why the node does not start.
 #[derive(Debug, thiserror::Error)]
@@ -68,6 +68,12 @@ pub enum RunError {
     /// The rate of answers cannot be.
     #[error("`rate`: is {rate} Hz and must be from 0 to {MOST_RATE}")]
     Rate {
+        /// What it is.
+        rate: f64,
+    },
+    /// The most answers a second cannot be.
+    #[error("`max_rate`: is {rate} Hz and must be from {} to {}", MAX_RATES.start(), MAX_RATES.end())]
+    MaxRate {
         /// What it is.
         rate: f64,
     },
@@ -126,8 +132,8 @@ struct Shared {
     robot: Robot,
     transforms: Transforms,
     limits: HistoryLimits,
-    /// Whether an answer follows each report.
-    eager: bool,
+    /// Shortest time between two answers to reports; none where answers come at a rate of their own.
+    eager: Option<Duration>,
     active: AtomicBool,
     core: Mutex<Core>,
     /// Subscriptions of the skins' maps, while somebody listens to what is made of them.
@@ -166,6 +172,10 @@ impl FusionNode {
         if !(0.0..=MOST_RATE).contains(&config.rate) {
             return Err(RunError::Rate { rate: config.rate });
         }
+        if !MAX_RATES.contains(&config.max_rate) {
+            return Err(RunError::MaxRate { rate: config.max_rate });
+        }
+        let eager = (config.rate == 0.0).then(|| Duration::from_secs_f64(1.0 / config.max_rate));
         let limits = config.joint_states;
         let mut fuser =
             Fuser::new(robot.clone(), config.settings, limits, &config.expected, &config.self_contact)?;
@@ -184,7 +194,7 @@ impl FusionNode {
             robot,
             transforms: config.transforms,
             limits,
-            eager: config.rate == 0.0,
+            eager,
             active: AtomicBool::new(false),
             core: Mutex::new(Core {
                 fuser,
@@ -209,7 +219,8 @@ impl FusionNode {
         shared.follow();
         let subscriptions = shared.subscribe()?;
         let ticking = Arc::downgrade(&shared);
-        let period = if shared.eager { TRAILING } else { Duration::from_secs_f64(1.0 / config.rate) };
+        let period =
+            eager.map_or_else(|| Duration::from_secs_f64(1.0 / config.rate), |least| least * TRAILING);
         let timer = node.timer(period.min(HEARTBEAT), move || {
             if let Some(shared) = ticking.upgrade() {
                 shared.tick();
@@ -261,6 +272,7 @@ fn declare(node: &Node, config: &Config) -> Result<(), RunError> {
     let fixed = |text: &str| ParameterDescriptor::new(text).read_only();
     parameters.declare("robot", config.robot.display().to_string(), fixed("robot file"))?;
     parameters.declare("rate", config.rate, fixed("[Hz] of answers; 0: one for each report"))?;
+    parameters.declare("max_rate", config.max_rate, fixed("[Hz] of answers to reports, at most"))?;
     for field in FIELDS {
         let descriptor = ParameterDescriptor::new(field.about).float_range(field.least, field.most);
         parameters.declare(field.name, (field.get)(&config.settings), descriptor)?;
@@ -374,7 +386,9 @@ impl Shared {
         let mut core = self.lock();
         core.fuser.take(skin, message, publisher, now);
         core.pending = true;
-        if self.eager && core.answered.is_none_or(|at| at.elapsed() >= LEAST_PERIOD) {
+        if let Some(least) = self.eager
+            && core.answered.is_none_or(|at| at.elapsed() >= least)
+        {
             self.answer(&mut core);
         }
     }
@@ -418,7 +432,7 @@ impl Shared {
         }
         let mut core = self.lock();
         // Where reports are answered, those need an answer that came too soon after the last one, and their silence.
-        let due = !self.eager || core.pending;
+        let due = self.eager.is_none() || core.pending;
         // A timer ticks a little early or late.
         if due || core.answered.is_none_or(|at| at.elapsed() * 10 >= HEARTBEAT * 9) {
             self.answer(&mut core);

@@ -46,15 +46,16 @@ impl Bench {
         (subscription, rx)
     }
 
-    /// A frame of skin `a` with a contact of 3 N, acquired now.
-    fn press(&mut self, skin: &Publisher<ContactArray>) {
+    /// A frame of skin `a` with a contact of 3 N, acquired now; its stamp.
+    fn press(&mut self, skin: &Publisher<ContactArray>) -> i64 {
         self.sequence += 1;
         let stamp = self.other.clock().now();
         skin.publish(&report("a", self.sequence, stamp, &[contact(1, 0.01, 0.02, 3.0)])).unwrap();
+        stamp
     }
 }
 
-fn expect<T: std::fmt::Debug>(rx: &Receiver<T>, fits: impl Fn(&T) -> bool) -> T {
+fn expect<T: std::fmt::Debug>(rx: &Receiver<T>, mut fits: impl FnMut(&T) -> bool) -> T {
     let deadline = Instant::now() + WAIT;
     loop {
         let left = deadline.saturating_duration_since(Instant::now());
@@ -176,6 +177,27 @@ fn it_follows_its_lifecycle_and_its_parameters() {
 }
 
 #[test]
+fn reports_are_answered_at_the_most_rate_and_the_last_one_always() {
+    let mut bench = Bench::start(|c| c.max_rate = 20.0);
+    let (_b, body) = bench.listen::<BodyContacts>("/body_contacts");
+    let skin = bench.other.stream_publisher::<ContactArray>("/a/contacts", 10).unwrap();
+    let begun = Instant::now();
+    for _ in 0..60 {
+        bench.press(&skin);
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let last = bench.press(&skin);
+    let mut answers = 0;
+    expect(&body, |m| {
+        answers += 1;
+        m.header.stamp.as_nanos() == last
+    });
+    let most = begun.elapsed().as_secs_f64() * 20.0 + 2.0;
+    assert!(f64::from(answers) <= most, "{answers} answers, {most} at most");
+    assert!(answers >= 3, "{answers}");
+}
+
+#[test]
 fn what_cannot_be_is_refused_in_one_sentence() {
     let (folder, good) = Bench::config();
     let refused = |change: &dyn Fn(&mut Config)| {
@@ -185,8 +207,9 @@ fn what_cannot_be_is_refused_in_one_sentence() {
         error.replace(&folder.path().display().to_string(), "DIR")
     };
     insta::assert_snapshot!(refused(&|c| c.rate = -1.0), @"`rate`: is -1 Hz and must be from 0 to 1000");
+    insta::assert_snapshot!(refused(&|c| c.max_rate = 0.0), @"`max_rate`: is 0 Hz and must be from 10 to 10000");
     insta::assert_snapshot!(refused(&|c| c.settings.gate = 0.0), @"settings: `gate` is 0 and must be from 1 to 1000");
-    insta::assert_snapshot!(refused(&|c| { c.parameters.insert("gait".into(), 1.0.into()); }), @"parameter `gait` is none of this node; its parameters are ahead, births, force_change, gain_deviation, gate, hold, most_reports, mount_deviation, oldest, rate, reorder, robot, slide_speed, slide_time, systematic_share, unknown_force_deviation, unknown_position_deviation, use_sim_time");
+    insta::assert_snapshot!(refused(&|c| { c.parameters.insert("gait".into(), 1.0.into()); }), @"parameter `gait` is none of this node; its parameters are ahead, births, force_change, gain_deviation, gate, hold, max_rate, most_reports, mount_deviation, oldest, rate, reorder, robot, slide_speed, slide_time, systematic_share, unknown_force_deviation, unknown_position_deviation, use_sim_time");
     let missing = refused(&|c| c.robot = folder.path().join("none.toml"));
     assert!(missing.starts_with("robot file DIR/none.toml: cannot be read"), "{missing}");
     let bare = folder.path().join("bare.toml");
