@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Instant;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use clap::Subcommand;
 use serde_json::{Value, json};
 
@@ -157,6 +157,22 @@ fn evaluation(command: &mut Command) -> Result<Value> {
     let text = output(command)?;
     serde_json::from_str(text.trim().lines().last().unwrap_or_default())
         .context("a command with --json printed no JSON")
+}
+
+/// Has `dermis collect` write a bag, unless it is there. It has another name until it is whole: an interrupted one has metadata, too.
+fn collected(collect: &mut Command, bag: &Path) -> Result<()> {
+    if bag.exists() {
+        return Ok(());
+    }
+    let partial = bag.with_extension("partial");
+    if partial.exists() {
+        std::fs::remove_dir_all(&partial)?;
+    }
+    let report = evaluation(collect.arg("--json").arg("--out").arg(&partial))?;
+    if report["interrupted"] != false {
+        bail!("collecting {} was interrupted: run the measurement again", bag.display());
+    }
+    Ok(std::fs::rename(&partial, bag)?)
 }
 
 /// CPU seconds of all children that ended so far.

@@ -4,7 +4,8 @@
 //! (Table 4.3), and how pixel and width of a contact decide what a map of forces is worth (Table 4.5). Method: collect → train →
 //! evaluate with the program itself; the "real" device has the family's default effects, the simulated one has none. Table 4.4 is
 //! counted from the configuration. Cost at share 1: hours on two cores for Table 4.3, days for Table 4.5; `--share` and `--epochs`
-//! make it less, and the result says what is reduced.
+//! make it less, and the result says what is reduced. An interrupted run goes on: bags, checkpoints and rows stay in
+//! `.dermis/measure`, apart for each share and number of epochs.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -14,7 +15,7 @@ use clap::Args;
 use serde_json::{Map, Value, json};
 use toml::{Table, Value as Toml};
 
-use super::{PROGRAM, evaluation, read_toml, scratch, write};
+use super::{PROGRAM, collected, commit, evaluation, read_toml, scratch, write};
 use crate::run::{cargo, run as execute, target_dir};
 
 const SKIN: &str = "launch/skins/ert-panel.toml";
@@ -61,6 +62,29 @@ pub struct Sizes {
     /// Maps of Table 4.5, by number; all where absent.
     #[arg(long, value_delimiter = ',')]
     maps: Vec<usize>,
+    /// Tables that are measured; the record keeps what it has of the others.
+    #[arg(long, value_delimiter = ',', default_values_t = [TableName::Transfer, TableName::Maps])]
+    tables: Vec<TableName>,
+}
+
+/// A table that networks are trained for.
+#[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum TableName {
+    /// Table 4.3.
+    #[value(name = "4.3")]
+    Transfer,
+    /// Table 4.5.
+    #[value(name = "4.5")]
+    Maps,
+}
+
+impl std::fmt::Display for TableName {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Transfer => "4.3",
+            Self::Maps => "4.5",
+        })
+    }
 }
 
 /// The program, its working directory, and its arguments.
@@ -86,20 +110,29 @@ pub(super) fn tables(root: &Path, sizes: &Sizes) -> Result<Value> {
     }
     let program = ["build", "--release", "--package", "dermis", "--features", "train"];
     execute(cargo(root).args(program))?;
-    let work = Work {
-        root,
-        dermis: target_dir(root).join("release/dermis"),
-        dir: scratch(root, "ert-tables")?,
-        sizes,
+    let Sizes { share, epochs, .. } = sizes;
+    // What was done of the same size is not done again.
+    let dir = root.join(format!(".dermis/measure/ert-tables/share-{share}-epochs-{epochs}"));
+    std::fs::create_dir_all(&dir)?;
+    let work = Work { root, dermis: target_dir(root).join("release/dermis"), dir, sizes };
+    let file = root.join(RESULT);
+    let mut record: Map<String, Value> = match std::fs::read(&file) {
+        Ok(text) => {
+            serde_json::from_slice(&text).with_context(|| format!("{} is no record", file.display()))?
+        }
+        Err(_) => Map::new(),
     };
-    let value = json!({
-        "reduced": reduced(root, sizes)?,
-        "table_4_3": work.transfer()?,
-        "table_4_4": structure(root)?,
-        "table_4_5": work.maps()?,
-    });
-    write(&root.join(RESULT), &value)?;
-    Ok(value)
+    record.insert("table_4_4".into(), structure(root)?);
+    for table in &sizes.tables {
+        let (key, rows) = match table {
+            TableName::Transfer => ("table_4_3", work.transfer()?),
+            TableName::Maps => ("table_4_5", work.maps()?),
+        };
+        let of = json!({ "commit": commit(root)?, "command": work.command(*table), "reduced": reduced(root, sizes)?, "rows": rows });
+        record.insert(key.into(), of);
+        write(&file, &Value::Object(record.clone()))?;
+    }
+    Ok(Value::Object(record))
 }
 
 /// Contacts by inversion of the forward model on the presses of the plan that models are measured on, and writes the result beside the
@@ -153,24 +186,44 @@ fn scaled(plan: &Table, kind: &str, number: Option<i64>, share: f64) -> (Table, 
 }
 
 impl Work<'_> {
+    /// The command that measures a table in this size.
+    fn command(&self, table: TableName) -> String {
+        let Sizes { share, epochs, maps, .. } = self.sizes;
+        let mut text =
+            format!("cargo xtask measure ert-tables --tables {table} --share {share} --epochs {epochs}");
+        if table == TableName::Maps && !maps.is_empty() {
+            let maps: Vec<String> = maps.iter().map(usize::to_string).collect();
+            text += &format!(" --maps {}", maps.join(","));
+        }
+        text
+    }
+
+    /// A row: as an earlier run left it or, where none did, as `measured` now.
+    fn row(&self, name: &str, measured: impl FnOnce() -> Result<Value>) -> Result<Value> {
+        let file = self.dir.join(format!("{name}-row.json"));
+        if let Ok(text) = std::fs::read(&file) {
+            return serde_json::from_slice(&text).with_context(|| format!("{} is no row", file.display()));
+        }
+        let row = measured()?;
+        write(&file, &row)?;
+        Ok(row)
+    }
+
     /// A bag of a scaled plan.
     fn bag(&self, plan_name: &str, number: Option<i64>, real: bool) -> Result<PathBuf> {
         let (mut plan, _) = scaled(&plan(self.root, plan_name)?, "hex", number, self.sizes.share);
         let of = number.map_or_else(String::new, |n| format!("-of-{n}"));
         let name = format!("{plan_name}{of}{}", if real { "-real" } else { "" });
         let bag = self.dir.join(&name);
-        if bag.exists() {
-            return Ok(bag);
-        }
         plan.insert("name".into(), Toml::String(name.clone()));
         let file = self.dir.join(format!("{name}.toml"));
         std::fs::write(&file, toml::to_string(&plan)?)?;
         let mut collect = Command::new(&self.dermis);
-        collect.arg("collect").arg(SKIN).arg("--plan").arg(&file).arg("--out").arg(&bag);
+        collect.arg("collect").arg(SKIN).arg("--plan").arg(&file).current_dir(self.root);
         if real {
             collect.args(["--effects", EFFECTS, "--seed", "7"]);
         }
-        execute(collect.current_dir(self.root))?;
+        collected(&mut collect, &bag)?;
         Ok(bag)
     }
 
@@ -181,6 +234,7 @@ impl Work<'_> {
         let mut train = Command::new(&self.dermis);
         train.arg("train").args(["--skin", SKIN, "--json", "--config"]).arg(&file);
         train.arg("--out").arg(self.dir.join(name)).args(["--epochs", &self.sizes.epochs.to_string()]);
+        train.arg("--resume");
         for test in tests {
             train.arg("--test").arg(test);
         }
@@ -196,33 +250,45 @@ impl Work<'_> {
         let mut rows = Vec::new();
         for up_to in 1..=6 {
             let name = format!("transfer-up-to-{up_to}");
-            let found = self.train(&name, &config, &trains[..up_to], &tests)?;
-            let others = found["other_runs"].as_object().cloned().unwrap_or_default();
-            let mut columns = Map::new();
-            for (n, test) in tests.iter().enumerate() {
-                let test = test.file_name().unwrap_or_default().to_string_lossy().into_owned();
-                let number = (n + 1).to_string();
-                let errors =
-                    &others.get(&test).unwrap_or(&Value::Null)["maps"]["signal"]["by_number"][&number];
-                if errors.is_null() {
-                    bail!(
-                        "`dermis train` has no errors of the signal on {test}: its plan may have lost every trial below 5 N"
-                    );
-                }
-                let cell = json!({
-                    "frames": errors["frames"], "rmse_v": errors["rms"], "fvu": errors["fvu"],
-                    "seen_in_training": n < up_to,
-                });
-                columns.insert(number, cell);
-            }
-            rows.push(json!({
-                "trained_on_up_to": up_to,
-                "samples": found["samples"],
-                "held_out_of_training": found["held_out"]["maps"]["signal"]["by_number"],
-                "test": columns,
-            }));
+            let measured = || self.transferred(&name, &config, &trains[..up_to], &tests);
+            rows.push(self.row(&name, measured)?);
         }
         Ok(Value::Array(rows))
+    }
+
+    /// A row of Table 4.3: a network that learned from `trains`, on each of `tests`.
+    fn transferred(
+        &self,
+        name: &str,
+        config: &Table,
+        trains: &[PathBuf],
+        tests: &[PathBuf],
+    ) -> Result<Value> {
+        let found = self.train(name, config, trains, tests)?;
+        let others = found["other_runs"].as_object().cloned().unwrap_or_default();
+        let mut columns = Map::new();
+        for (n, test) in tests.iter().enumerate() {
+            let test = test.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            let number = (n + 1).to_string();
+            let errors = &others.get(&test).unwrap_or(&Value::Null)["maps"]["signal"]["by_number"][&number];
+            if errors.is_null() {
+                bail!(
+                    "`dermis train` has no errors of the signal on {test}: its plan may have lost every trial below 5 N"
+                );
+            }
+            let cell = json!({
+                "frames": errors["frames"], "rmse_v": errors["rms"], "fvu": errors["fvu"],
+                "seen_in_training": n < trains.len(),
+            });
+            columns.insert(number, cell);
+        }
+        Ok(json!({
+            "trained_on_up_to": trains.len(),
+            "samples": found["samples"],
+            "seconds": found["seconds"],
+            "held_out_of_training": found["held_out"]["maps"]["signal"]["by_number"],
+            "test": columns,
+        }))
     }
 
     /// Table 4.5: reconstruction on the simulated device, at locations that training has not seen.
@@ -237,21 +303,23 @@ impl Work<'_> {
                 continue;
             }
             let name = format!("map-{number}");
-            let trained = self.train(&name, &configuration(&thesis, map)?, &bags, &[])?;
-            let mut evaluate = Command::new(&self.dermis);
-            evaluate.arg("evaluate").args(["--skin", SKIN, "--map-least-force", LIGHTEST, "--json"]);
-            evaluate.arg("--model").arg(self.dir.join(&name)).arg(&test).current_dir(self.root);
-            let found = evaluation(&mut evaluate)?;
-            let errors = &found["maps"]["map.normal"];
-            rows.push(json!({
-                "map": number,
-                "pixel_mm": map[0],
-                "diameter_mm": map[1],
-                "samples": trained["samples"],
-                "seconds": trained["seconds"],
-                "contacts": errors["contacts"],
-                "rms_n_and_fvu_by_number": errors["by_number"],
-            }));
+            rows.push(self.row(&name, || {
+                let trained = self.train(&name, &configuration(&thesis, map)?, &bags, &[])?;
+                let mut evaluate = Command::new(&self.dermis);
+                evaluate.arg("evaluate").args(["--skin", SKIN, "--map-least-force", LIGHTEST, "--json"]);
+                evaluate.arg("--model").arg(self.dir.join(&name)).arg(&test).current_dir(self.root);
+                let found = evaluation(&mut evaluate)?;
+                let errors = &found["maps"]["map.normal"];
+                Ok(json!({
+                    "map": number,
+                    "pixel_mm": map[0],
+                    "diameter_mm": map[1],
+                    "samples": trained["samples"],
+                    "seconds": trained["seconds"],
+                    "contacts": errors["contacts"],
+                    "rms_n_and_fvu_by_number": errors["by_number"],
+                }))
+            })?);
         }
         Ok(Value::Array(rows))
     }
@@ -327,6 +395,10 @@ mod tests {
         Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
     }
 
+    fn sizes(share: f64, epochs: u32, maps: &[usize]) -> Sizes {
+        Sizes { share, epochs, maps: maps.to_vec(), tables: vec![TableName::Transfer, TableName::Maps] }
+    }
+
     #[test]
     fn the_structure_has_the_parameters_of_the_thesis() {
         let table = structure(&root()).unwrap();
@@ -373,8 +445,7 @@ mod tests {
         assert_eq!((hexes(&all), hexes(&three)), (6, 1));
         let text = toml::to_string(&three).unwrap();
         assert!(text.parse::<Table>().is_ok(), "{text}");
-        let sizes = Sizes { share: 0.1, epochs: 5, maps: Vec::new() };
-        let record = reduced(&root(), &sizes).unwrap();
+        let record = reduced(&root(), &sizes(0.1, 5, &[])).unwrap();
         assert_eq!(record["places_of_each_number"], json!({ "here": 30, "thesis": 3000 }));
         assert_eq!(record["random_presses"], json!({ "here": 800, "thesis": 200_000 }));
     }
@@ -382,10 +453,8 @@ mod tests {
     #[test]
     fn impossible_sizes_are_refused() {
         let message = |sizes: Sizes| tables(Path::new("/nowhere"), &sizes).unwrap_err().to_string();
-        assert!(message(Sizes { share: 0.0, epochs: 1, maps: Vec::new() }).starts_with("--share"));
-        assert!(message(Sizes { share: 1.0, epochs: 1, maps: vec![13] }).contains("no map 13"));
-        assert!(
-            message(Sizes { share: 1.0, epochs: 1, maps: vec![12] }).contains("ert-panel.toml is missing")
-        );
+        assert!(message(sizes(0.0, 1, &[])).starts_with("--share"));
+        assert!(message(sizes(1.0, 1, &[13])).contains("no map 13"));
+        assert!(message(sizes(1.0, 1, &[12])).contains("ert-panel.toml is missing"));
     }
 }

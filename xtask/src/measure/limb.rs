@@ -4,10 +4,10 @@ use std::hash::{Hash, Hasher};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use serde_json::{Value, json};
 
-use super::{LIMB, PROGRAM, evaluation, scratch};
+use super::{LIMB, PROGRAM, collected, evaluation, scratch};
 use crate::run::{cargo, run as execute, target_dir};
 
 /// A file of the limb's effects as a command takes it.
@@ -24,20 +24,9 @@ pub(super) fn limb_bag(root: &Path, dermis: &Path, plan: &str, device: &[&str]) 
     let folder = root.join(".dermis/measure/bags");
     std::fs::create_dir_all(&folder)?;
     let bag = folder.join(format!("limb-{:016x}", hasher.finish()));
-    if !bag.exists() {
-        // Under another name until it is whole: an interrupted one has metadata, too.
-        let partial = bag.with_extension("partial");
-        if partial.exists() {
-            std::fs::remove_dir_all(&partial)?;
-        }
-        let mut collect = Command::new(dermis);
-        collect.arg("collect").arg(LIMB).arg("--plan").arg(&plan).args(device).arg("--json");
-        let report = evaluation(collect.arg("--out").arg(&partial).current_dir(root))?;
-        if report["interrupted"] != false {
-            bail!("collecting {} was interrupted: run the measurement again", plan.display());
-        }
-        std::fs::rename(&partial, &bag)?;
-    }
+    let mut collect = Command::new(dermis);
+    collect.arg("collect").arg(LIMB).arg("--plan").arg(&plan).args(device);
+    collected(collect.current_dir(root), &bag)?;
     Ok(bag)
 }
 
