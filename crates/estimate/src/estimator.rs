@@ -71,8 +71,8 @@ pub struct Verdict {
 /// model (corrected, where it has a `correction`), which may tell several contacts apart: one after the other or, where it says so,
 /// among all pairs of locations when contacts come and go, and from those of the frame before while they last. A frame goes through
 /// [`Conditioner`], the models' features, the models, [`Inverter`] and [`Tracker`]; nothing but the frames and the loaded
-/// bundles goes in, so that a recording gives the same contacts offline as it gave in the node; but for frames that came while a
-/// [search ran in the background](SkinEstimator::search_in_background).
+/// bundles goes in, so that a recording gives the same contacts offline as it gave in the node; but for contacts that are
+/// [searched in the background](SkinEstimator::search_in_background).
 pub struct SkinEstimator {
     skin: SkinDescription,
     surface: Surface,

@@ -1,8 +1,8 @@
 //! Searches on a forward model that frames do not wait for.
 //!
 //! A search for contacts takes as long as some frames of a fast skin, or some dozens where there are several, and least squares from the contacts
-//! of the frame before take less than one. So it runs on a thread of its own, one at a time and on the newest frame of when it began. What it finds is where the next frame
-//! begins. Cost: a copy of the readings and a thread, which waits while no search runs and ends with the estimator.
+//! of the frame before take less than one. So it runs on a thread of its own, one at a time and on the newest frame of when it began. What it
+//! finds is where the next frame begins. Cost: a copy of the readings and a thread, which waits while no search runs and ends with the estimator.
 
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
