@@ -2,8 +2,8 @@
 //!
 //! Time is simulated: reports come as fast as they are worked in. An update is the report of one skin with what it makes of the body: the
 //! tracks, contacts, wrenches and torques, and the message in CDR. By default the node answers at most 1,000 times a second, so that eight
-//! skins at 1 kHz are eight reports and one answer each millisecond. The peer has the contacts of all skins as arrays, takes every report for the contacts that it
-//! is of, and neither assigns nor merges: what it computes is position, velocity and force with their covariances, of the same reports.
+//! skins at 1 kHz are eight reports and one answer each millisecond. The peer has the contacts of all skins as arrays, takes every report for
+//! the contacts that it is of, and neither assigns nor merges: what it computes is position, velocity and force with their covariances, of the same reports.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;

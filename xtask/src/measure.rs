@@ -1,5 +1,6 @@
 //! Measurements behind `targets.toml`; each prints one line of JSON at the end.
 
+use std::hash::{Hash, Hasher};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Instant;
@@ -157,6 +158,17 @@ fn evaluation(command: &mut Command) -> Result<Value> {
     let text = output(command)?;
     serde_json::from_str(text.trim().lines().last().unwrap_or_default())
         .context("a command with --json printed no JSON")
+}
+
+/// A number that changes with what these files hold, and with `further`: for names of what is kept between runs.
+fn fingerprint(root: &Path, files: &[PathBuf], further: impl Hash) -> Result<u64> {
+    let mut hasher = std::hash::DefaultHasher::new();
+    for file in files {
+        let file = root.join(file);
+        std::fs::read(&file).with_context(|| format!("{} cannot be read", file.display()))?.hash(&mut hasher);
+    }
+    further.hash(&mut hasher);
+    Ok(hasher.finish())
 }
 
 /// Has `dermis collect` write a bag, unless it is there. It has another name until it is whole: an interrupted one has metadata, too.

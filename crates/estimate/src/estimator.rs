@@ -93,8 +93,6 @@ pub struct SkinEstimator {
     solution: Option<Solution>,
     /// The contacts that it found in the latest frame that had any or, of one contact, all minima that it may be.
     before: Vec<ContactEstimate>,
-    /// The contact that a search of single ones in the background found last.
-    searched: Option<ContactEstimate>,
     /// Searches on a forward model that frames do not wait for; `None` where they do.
     background: Option<BackgroundSearch>,
     /// The latest signal, as an inverter takes it.
@@ -132,7 +130,6 @@ impl SkinEstimator {
             present: false,
             solution: None,
             before: Vec::new(),
-            searched: None,
             background: None,
             readings: Vec::new(),
             guessed: Vec::new(),
@@ -184,7 +181,6 @@ impl SkinEstimator {
 
     fn forget_contacts(&mut self) {
         self.before.clear();
-        self.searched = None;
         if let Some(background) = &mut self.background {
             background.forget();
         }

@@ -3,7 +3,7 @@
 //! ```toml
 //! robot = "humanoid.toml"      # relative to this file
 //! rate = 0.0                   # [Hz] of answers; 0: one for each report, `max_rate` a second at most
-//! max_rate = 1000.0            # [Hz] of answers to reports, at most: a report waits for 1/max_rate at most
+//! max_rate = 1000.0            # [Hz] of answers to reports, at most: a report waits for 2/max_rate at most
 //! transforms = "skins"         # on /tf: `off`, `skins` (their frames), `robot` (links, too)
 //! assume_rest = false          # whether joints that no joint state tells of are taken for resting at 0
 //!

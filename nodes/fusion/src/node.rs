@@ -34,7 +34,7 @@ mod maps;
 const KEPT: usize = 10;
 /// Reports of one skin that may wait to be worked in.
 const WAITING: usize = 64;
-/// Shortest times between two answers, after which a report that came too soon after an answer has its own.
+/// Periods of `max_rate` after which a report that came too soon after an answer has its own.
 const TRAILING: u32 = 2;
 /// Longest time between two answers.
 const HEARTBEAT: Duration = Duration::from_millis(100);
@@ -44,7 +44,7 @@ const MARKER_PERIOD: Duration = Duration::from_millis(33);
 const MAP_PERIOD: Duration = Duration::from_millis(33);
 /// \[s\] after which arrows vanish that nobody renews.
 const MARKER_LIFE: f64 = 0.3;
-/// \[Hz\] fastest rate of answers of their own.
+/// \[Hz\] fastest `rate`.
 const MOST_RATE: f64 = 1000.0;
 /// \[Hz\] what `max_rate` may be: slower than the heartbeat it would say nothing.
 const MAX_RATES: std::ops::RangeInclusive<f64> = 10.0..=10_000.0;

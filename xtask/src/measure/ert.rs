@@ -5,7 +5,7 @@
 //! evaluate with the program itself; the "real" device has the family's default effects, the simulated one has none. Table 4.4 is
 //! counted from the configuration. Cost at share 1: hours on two cores for Table 4.3, days for Table 4.5; `--share` and `--epochs`
 //! make it less, and the result says what is reduced. An interrupted run goes on: bags, checkpoints and rows stay in
-//! `.dermis/measure`, apart for each share and number of epochs.
+//! `.dermis/measure`, apart for each commit, size and content of the files that they are made from.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -15,7 +15,7 @@ use clap::Args;
 use serde_json::{Map, Value, json};
 use toml::{Table, Value as Toml};
 
-use super::{PROGRAM, collected, commit, evaluation, read_toml, scratch, write};
+use super::{PROGRAM, collected, commit, evaluation, fingerprint, read_toml, scratch, write};
 use crate::run::{cargo, run as execute, target_dir};
 
 const SKIN: &str = "launch/skins/ert-panel.toml";
@@ -24,6 +24,8 @@ const EFFECTS: &str = "launch/effects/ert-default.toml";
 const THESIS: &str = "launch/train/ert-panel-thesis.toml";
 const TRANSFER: &str = "launch/train/ert-panel-transfer.toml";
 const RESULT: &str = "benches/results/ert-tables.json";
+/// Plans that are scaled.
+const PLANS: [&str; 3] = ["hex-train", "hex-evaluate", "random-train"];
 const INVERSION: &str = "benches/results/ert-inversion.json";
 
 /// Pixel and diameter \[mm\] of maps 1 to 12.
@@ -111,8 +113,12 @@ pub(super) fn tables(root: &Path, sizes: &Sizes) -> Result<Value> {
     let program = ["build", "--release", "--package", "dermis", "--features", "train"];
     execute(cargo(root).args(program))?;
     let Sizes { share, epochs, .. } = sizes;
-    // What was done of the same size is not done again.
-    let dir = root.join(format!(".dermis/measure/ert-tables/share-{share}-epochs-{epochs}"));
+    // What was done of the same size and the same files is not done again; of another commit the measuring code may differ.
+    let plans = PLANS.map(|name| plan_file(Path::new(""), name));
+    let files: Vec<PathBuf> =
+        [SKIN, EFFECTS, THESIS, TRANSFER].map(PathBuf::from).into_iter().chain(plans).collect();
+    let made_of = fingerprint(root, &files, (commit(root)?, share.to_bits(), epochs))?;
+    let dir = root.join(format!(".dermis/measure/ert-tables/{made_of:016x}"));
     std::fs::create_dir_all(&dir)?;
     let work = Work { root, dermis: target_dir(root).join("release/dermis"), dir, sizes };
     let file = root.join(RESULT);
@@ -164,8 +170,12 @@ fn reduced(root: &Path, sizes: &Sizes) -> Result<Value> {
     }))
 }
 
+fn plan_file(root: &Path, name: &str) -> PathBuf {
+    root.join(format!("launch/plans/ert-panel-{name}.toml"))
+}
+
 fn plan(root: &Path, name: &str) -> Result<Table> {
-    read_toml(&root.join(format!("launch/plans/ert-panel-{name}.toml")))
+    read_toml(&plan_file(root, name))
 }
 
 /// A plan with a share of the presses of each step, of one number of contacts or of all; and how many presses of the kind it has.

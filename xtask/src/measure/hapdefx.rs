@@ -15,7 +15,8 @@ use crate::run::{cargo, run as execute, target_dir};
 #[derive(Args)]
 pub struct Options {
     /// A sixth of the epochs, a quarter of the samples and frames, and 4 and 24 virtual sensors a gauge only; networks keep their
-    /// sizes. Some ten minutes of CPU time, counted in the same way. It has a record of its own, which says what was reduced.
+    /// sizes. Some ten minutes of CPU time, counted in the same way. The record and its tables say what was reduced, and it takes the place of none
+    /// that is more whole.
     #[arg(long)]
     reduced: bool,
     /// Numbers of virtual sensors a gauge that are measured (Fig. 3.5 A); 24, those of the thesis, take a fourth of the time of all. The record
@@ -24,9 +25,8 @@ pub struct Options {
     sensors: Vec<usize>,
 }
 
-/// The records that the tables are made from: of a run with all epochs, samples and frames, and of a reduced one.
+/// The record that the tables are made from.
 const RECORD: &str = "benches/results/hapdefx-shin.json";
-const REDUCED: &str = "benches/results/hapdefx-shin-reduced.json";
 /// Sizes of the thesis.
 const SETTINGS: &str = "launch/real2sim/thesis.toml";
 /// Virtual sensors near each gauge, as the table lists them.
@@ -74,8 +74,30 @@ pub(super) fn run(root: &Path, options: &Options) -> Result<Value> {
     };
     record.insert("command".into(), json!(format!("cargo xtask measure hapdefx{flag}")));
     let record = Value::Object(record);
-    write(&root.join(if options.reduced { REDUCED } else { RECORD }), &record)?;
+    keep(&root.join(RECORD), &record)?;
     Ok(record)
+}
+
+/// Writes a record, unless it would take the place of one that is more whole.
+fn keep(path: &Path, record: &Value) -> Result<()> {
+    if let Ok(text) = std::fs::read(path)
+        && let Ok(known) = serde_json::from_slice::<Value>(&text)
+        && wholeness(record) < wholeness(&known)
+    {
+        eprintln!("{} is of a run that is more whole, and stays", path.display());
+        return Ok(());
+    }
+    write(path, record)
+}
+
+/// 0 for a reduced run, 1 for a whole one of some numbers of virtual sensors, 2 for a whole one.
+fn wholeness(record: &Value) -> u8 {
+    let reduced = record["reduced"].as_array().is_some_and(|sentences| !sentences.is_empty());
+    match (reduced, record["sensors"].is_null()) {
+        (true, _) => 0,
+        (false, false) => 1,
+        (false, true) => 2,
+    }
 }
 
 /// What `dermis real2sim thesis --json` prints, where tables look for it.
@@ -90,7 +112,10 @@ fn recorded(found: &Value, sensors: &str) -> Result<Map<String, Value>> {
         found["reduced"].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
     let run = match (sentences.as_slice(), sensors) {
         ([], "") => "whole".into(),
-        ([], sensors) => format!("whole, for {sensors} virtual sensors a gauge"),
+        ([], sensors) => {
+            record.insert("sensors".into(), json!(sensors));
+            format!("whole, for {sensors} virtual sensors a gauge")
+        }
         (said, _) => format!("reduced: {}", said.join("; ")),
     };
     record.insert("run".into(), json!(run));
@@ -233,5 +258,20 @@ mod tests {
         assert_eq!(record["strongest"]["double_next"]["position_mean"], 0.010);
         assert_eq!(record["strongest"]["double"], Value::Null);
         assert_eq!(record["strongest_of_true_maps"]["single"]["position_mean"], 0.002);
+    }
+
+    #[test]
+    fn a_record_takes_the_place_of_none_that_is_more_whole() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("record.json");
+        let read = || serde_json::from_slice::<Value>(&std::fs::read(&path).unwrap()).unwrap();
+        let (reduced, whole) = (json!({ "reduced": ["epochs"], "n": 1 }), json!({ "reduced": [], "n": 2 }));
+        let some = json!({ "reduced": [], "sensors": "24", "n": 3 });
+        for (record, expected) in
+            [(&reduced, 1), (&some, 3), (&reduced, 3), (&whole, 2), (&reduced, 2), (&some, 2), (&whole, 2)]
+        {
+            keep(&path, record).unwrap();
+            assert_eq!(read()["n"], expected);
+        }
     }
 }

@@ -1,13 +1,12 @@
 //! Measurements of the limb with strain gauges.
 
-use std::hash::{Hash, Hasher};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use serde_json::{Value, json};
 
-use super::{LIMB, PROGRAM, collected, evaluation, scratch};
+use super::{LIMB, PROGRAM, collected, evaluation, fingerprint, scratch};
 use crate::run::{cargo, run as execute, target_dir};
 
 /// A file of the limb's effects as a command takes it.
@@ -16,14 +15,10 @@ pub(super) const LIMB_EFFECTS: &str = "launch/effects/hapdef-default.toml";
 /// A bag of the limb under a plan, made anew only where the skin, the plan or what makes the device differ have changed since.
 pub(super) fn limb_bag(root: &Path, dermis: &Path, plan: &str, device: &[&str]) -> Result<PathBuf> {
     let plan = root.join(format!("launch/plans/hapdef-shin-{plan}.toml"));
-    let mut hasher = std::hash::DefaultHasher::new();
-    for file in [&root.join(LIMB), &plan, &root.join(LIMB_EFFECTS)] {
-        std::fs::read(file).with_context(|| format!("{} cannot be read", file.display()))?.hash(&mut hasher);
-    }
-    device.hash(&mut hasher);
+    let made_of = fingerprint(root, &[LIMB.into(), plan.clone(), LIMB_EFFECTS.into()], device)?;
     let folder = root.join(".dermis/measure/bags");
     std::fs::create_dir_all(&folder)?;
-    let bag = folder.join(format!("limb-{:016x}", hasher.finish()));
+    let bag = folder.join(format!("limb-{made_of:016x}"));
     let mut collect = Command::new(dermis);
     collect.arg("collect").arg(LIMB).arg("--plan").arg(&plan).args(device);
     collected(collect.current_dir(root), &bag)?;

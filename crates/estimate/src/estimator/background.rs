@@ -50,8 +50,8 @@ type Found = Result<Solution, InverterError>;
 pub(super) struct BackgroundSearch {
     thread: Option<(Sender<Job>, Receiver<Found>)>,
     searching: bool,
-    /// A search has ended since contacts were forgotten.
-    searched: bool,
+    /// What the latest search since contacts were forgotten has found; `None` where none has ended.
+    latest: Option<Vec<ContactEstimate>>,
     /// The search that runs is for contacts that are gone: its answer does not count.
     stale: bool,
 }
@@ -70,7 +70,9 @@ impl BackgroundSearch {
         };
         self.searching = false;
         let answer = answer.filter(|_| !std::mem::take(&mut self.stale));
-        self.searched |= answer.is_some();
+        if let Some(answer) = &answer {
+            self.latest = Some(answer.as_ref().map_or_else(|_| Vec::new(), |found| found.contacts.clone()));
+        }
         answer
     }
 
@@ -80,7 +82,12 @@ impl BackgroundSearch {
 
     /// Whether no search has ended since contacts were forgotten: what is known of these is a guess.
     pub(super) fn guesses(&self) -> bool {
-        !self.searched
+        self.latest.is_none()
+    }
+
+    /// The strongest contact of the latest search since contacts were forgotten.
+    pub(super) fn latest(&self) -> Option<&ContactEstimate> {
+        self.latest.as_ref()?.first()
     }
 
     /// Begins a search.
@@ -116,7 +123,7 @@ impl BackgroundSearch {
     /// The contacts are gone: the answer of a search that runs for them does not count.
     pub(super) fn forget(&mut self) {
         self.stale = self.searching;
-        self.searched = false;
+        self.latest = None;
     }
 }
 

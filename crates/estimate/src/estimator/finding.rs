@@ -17,7 +17,7 @@ use crate::models::Pipeline;
 
 /// Presence by probability begins above the first and ends below the second.
 const PRESENT: (f64, f64) = (0.5, 0.4);
-/// \[Hz\] of frames up to which each is searched for a single contact, which takes a millisecond, and ten at times.
+/// \[Hz\] Frames that come no faster wait for the search of a single contact: a millisecond, and ten at times.
 const FAST: f64 = 200.0;
 /// What is said of frames that come before the first search of a touch has ended.
 const GUESS: &str = "contacts are a first guess: the search for all of them has not ended yet";
@@ -204,20 +204,19 @@ impl SkinEstimator {
             return solve(inverter, &self.readings, learned, &self.before);
         };
         if let Some(found) = background.found() {
-            let found = found?;
-            self.searched = found.contacts.first().cloned();
-            self.before = starts(inverter, found).unwrap_or_default();
+            self.before = starts(inverter, found?).unwrap_or_default();
         }
         let mut followed = None;
         if single || !background.is_searching() {
             followed = follow(inverter, &self.readings, learned, &self.before)?;
         }
-        // Where several contacts explain a frame, they are all that there are.
-        let other_minima = |s: &Solution| match (s.contacts.first(), &self.searched) {
-            (Some(now), Some(searched)) => single && inverter.has_moved(searched, now),
-            _ => single,
+        let has_moved = |solution: &Solution| {
+            let both = background.latest().zip(solution.contacts.first());
+            both.is_none_or(|(searched, now)| inverter.has_moved(searched, now))
         };
-        if !background.is_searching() && followed.as_ref().is_none_or(other_minima) {
+        // Several contacts that explain a frame are all that there are; one may be another minimum.
+        let anew = followed.as_ref().is_none_or(|solution| single && has_moved(solution));
+        if !background.is_searching() && anew {
             let job = Job::of(inverter, &self.readings, learned, &self.before);
             if let Err(job) = background.begin(job) {
                 return job.solve();

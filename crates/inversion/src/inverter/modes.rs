@@ -4,9 +4,9 @@
 //! several minima, and a search that stops at the first plausible one is wrong by centimetres. Method: the locations of the dictionary
 //! that may hold a minimum are all refined; each minimum has the evidence of its Laplace approximation, √det C · exp(−χ²/2) times the
 //! prior of its force (D. J. C. MacKay, *Neural Comput.* 4 (1992) 415, eq. 4.1). The answer is their mean, which has the least expected
-//! square of the error (S. M. Kay, *Fundamentals of Statistical Signal Processing* I, 10.3). A place may hold one where it explains the readings
-//! better than its neighbours do, and where what it leaves is no more than noise and the pitch of the dictionary leave. Assumptions:
-//! as the search's; minima are Gaussian and apart. Cost: one product with the dictionary, and a minimisation for each candidate.
+//! square of the error (S. M. Kay, *Fundamentals of Statistical Signal Processing* I, 10.3). A place may hold a minimum where it explains
+//! the readings better than its neighbours do, and where what it leaves is no more than noise and the pitch of the dictionary leave.
+//! Assumptions: as the search's; minima are Gaussian and apart. Cost: one product with the dictionary, and a minimisation for each candidate.
 
 use dermis_model::{Indentation, Unknown, Unknowns};
 use nalgebra::{Matrix3, Point3, Vector3};
@@ -28,7 +28,6 @@ const RESTARTS: usize = 12;
 const RANKED: usize = 200;
 /// Share of the evidence from which on a minimum stands for all.
 const CERTAIN: f64 = 0.99;
-
 /// Share of the evidence down to which a minimum is followed from frame to frame.
 const UNLIKELY: f64 = 1e-3;
 /// Factor by which a force has changed when minima are looked for anew: the noise hides others beside half of it, or no longer beside twice.
@@ -141,9 +140,12 @@ impl Inverter {
     pub(super) fn among(&self, best: &Minimum, modes: &[Mode], data: &[Datum]) -> Solution {
         let mut solution = self.solution(best, data);
         if let [single] = solution.contacts.as_mut_slice() {
-            self.weigh(single, modes, data);
-            let likely = modes.iter().enumerate().filter(|(i, m)| *i == 0 || m.share > UNLIKELY);
-            solution.minima = likely.flat_map(|(_, m)| self.describe(&m.minimum, data)).collect();
+            let weighed = |mode: &Mode| self.describe(&mode.minimum, data).into_iter().zip([mode.share]);
+            let minima: Vec<(ContactEstimate, f64)> = modes.iter().flat_map(weighed).collect();
+            self.weigh(single, &minima);
+            let likely =
+                minima.into_iter().enumerate().filter(|(i, (_, share))| *i == 0 || *share > UNLIKELY);
+            solution.minima = likely.map(|(_, (contact, _))| contact).collect();
         }
         solution
     }
@@ -153,19 +155,16 @@ impl Inverter {
     ///
     /// The mean has the least expected square of the error, and is what a filter takes a contact with its covariance for. Of places on
     /// two sides of a limb it lies inside: nobody can touch that.
-    fn weigh(&self, answer: &mut ContactEstimate, modes: &[Mode], data: &[Datum]) {
-        if modes.first().is_none_or(|first| first.share >= CERTAIN) || self.is_broad(answer) {
+    fn weigh(&self, answer: &mut ContactEstimate, minima: &[(ContactEstimate, f64)]) {
+        if minima.first().is_none_or(|(_, share)| *share >= CERTAIN) || self.is_broad(answer) {
             return;
         }
-        let likely = modes.iter().filter(|m| m.share > 0.0);
-        let contacts: Vec<(f64, ContactEstimate)> = likely
-            .flat_map(|m| self.describe(&m.minimum, data).into_iter().map(|contact| (m.share, contact)))
-            .collect();
-        let mean = contacts.iter().map(|(share, c)| c.position.coords * *share).sum::<Vector3<f64>>();
+        let contacts = || minima.iter().filter(|(_, share)| *share > 0.0);
+        let mean = contacts().map(|(c, share)| c.position.coords * *share).sum::<Vector3<f64>>();
         let (position, normal) = self.model.0.surface().project(&Point3::from(mean));
         if (position.coords - mean).norm() < self.spacing {
-            let pressing: f64 = contacts.iter().map(|(share, c)| -c.force.dot(&c.normal) * share).sum();
-            let shear = contacts.iter().map(|(share, c)| c.force * *share).sum::<Vector3<f64>>();
+            let pressing: f64 = contacts().map(|(c, share)| -c.force.dot(&c.normal) * share).sum();
+            let shear = contacts().map(|(c, share)| c.force * *share).sum::<Vector3<f64>>();
             let shear = match self.settings.unknowns {
                 Unknowns::Full => shear - normal * normal.dot(&shear),
                 _ => Vector3::zeros(),
@@ -173,12 +172,12 @@ impl Inverter {
             (answer.position, answer.normal, answer.force) = (position, normal, shear - normal * pressing);
         }
         let (mut location, mut force) = (Matrix3::zeros(), Matrix3::zeros());
-        for (share, contact) in contacts {
+        for (contact, share) in contacts() {
             let (by, more) = (contact.position - answer.position, contact.force - answer.force);
             // As in the evidence: a minimum answers for its own surroundings only.
             let own = (APART * self.spacing / contact.deviation()).min(1.0).powi(2);
-            location += (contact.position_covariance * own + by * by.transpose()) * share;
-            force += (contact.force_covariance * own + more * more.transpose()) * share;
+            location += (contact.position_covariance * own + by * by.transpose()) * *share;
+            force += (contact.force_covariance * own + more * more.transpose()) * *share;
         }
         (answer.position_covariance, answer.force_covariance) = (location, force);
     }
