@@ -163,15 +163,20 @@ impl Mlp {
     }
 
     /// Gradient of the loss by every parameter, from the gradient by the outputs.
-    fn backward(&self, inputs: &[f32], layers: &mut Layers, mut by_output: Vec<f32>) -> Vec<Vec<f32>> {
+    fn backward(&self, inputs: &[f32], layers: &mut Layers, mut by_output: Vec<f32>) {
         let rows = inputs.len() / self.sizes[0];
-        let mut gradients: Vec<Vec<f32>> = self.parameters.iter().map(|p| vec![0.0; p.len()]).collect();
+        let gradients = &mut layers.gradients;
+        gradients.resize(self.parameters.len(), Vec::new());
+        for (gradient, parameter) in gradients.iter_mut().zip(&self.parameters) {
+            gradient.resize(parameter.len(), 0.0);
+        }
         for layer in (0..self.sizes.len() - 1).rev() {
             let [width, outputs] = self.shape(2 * layer);
             let x = layer.checked_sub(1).map_or(inputs, |l| layers.values[l].as_slice());
             // xᵀ · g.
             let product = Product { rows: width, inner: rows, columns: outputs, keep: false };
             product.run(x, [1, width], &by_output, [outputs, 1], &mut gradients[2 * layer]);
+            gradients[2 * layer + 1].fill(0.0);
             for row in by_output.chunks_exact(outputs) {
                 for (sum, g) in gradients[2 * layer + 1].iter_mut().zip(row) {
                     *sum += g;
@@ -194,21 +199,21 @@ impl Mlp {
                 by_output = by_input;
             }
         }
-        gradients
     }
 
-    /// Loss over rows, and its gradient by every parameter.
+    /// Loss over rows; its gradient by every parameter is left in `layers`.
     fn gradient(
         &self,
         inputs: &[f32],
         (targets, weights): (&[f32], &[f32]),
         logit: bool,
         layers: &mut Layers,
-    ) -> (f32, Vec<Vec<f32>>) {
+    ) -> f32 {
         self.forward(inputs, layers);
         let answers = layers.values.last().map_or(&[][..], Vec::as_slice);
         let (loss, by_output) = loss(answers, targets, weights, self.sizes[self.sizes.len() - 1], logit);
-        (loss, self.backward(inputs, layers, by_output))
+        self.backward(inputs, layers, by_output);
+        loss
     }
 
     /// Its operators in a graph, whose outputs are `factor` times its own; `input` is \[n, inputs\]. `name` tells its constants
@@ -273,13 +278,16 @@ impl Mlp {
     }
 }
 
-/// What a forward pass leaves for the backward pass.
+/// What a forward pass leaves for the backward pass, and what that leaves. It is used again for the next rows: to allocate the gradients
+/// of a large network anew takes as long as a tenth of its products.
 #[derive(Default)]
 struct Layers {
     /// Outputs of every layer, row-major \[n, width\].
     values: Vec<Vec<f32>>,
     /// Derivative of every hidden activation.
     slopes: Vec<Vec<f32>>,
+    /// Gradient of the loss by every parameter.
+    gradients: Vec<Vec<f32>>,
 }
 
 pub(crate) use product::Product;
@@ -416,11 +424,11 @@ fn step(
             *x += training.noise as f32 * rng.sample::<f32, _>(StandardNormal);
         }
     }
-    let (loss, gradients) = state.network.gradient(&inputs, (&targets, &weights), data.logit, layers);
+    let loss = state.network.gradient(&inputs, (&targets, &weights), data.logit, layers);
     state.steps += 1;
     let progress = state.steps as f64 / total as f64;
     let rate = training.learning_rate * 0.5 * (1.0 + (std::f64::consts::PI * progress.min(1.0)).cos());
-    for (i, gradient) in gradients.iter().enumerate() {
+    for (i, gradient) in layers.gradients.iter().enumerate() {
         let decay = if i.is_multiple_of(2) { training.weight_decay } else { 0.0 };
         adam(
             &mut state.network.parameters[i],
