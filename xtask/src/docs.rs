@@ -9,12 +9,15 @@ mod tables;
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
 
 use crate::environment;
-use crate::run::{cargo, output, run as execute, target_dir};
+use crate::programs;
+use crate::run::{output, run as execute, target_dir};
+use crate::targets;
 
 /// What to do with the book.
 #[derive(Args)]
@@ -22,7 +25,7 @@ pub struct Options {
     /// Only write what is generated: tables of results, the reference of all commands, the schema of effects.
     #[arg(long, conflicts_with = "check")]
     tables: bool,
-    /// Only check tables, where their figures are from, and links; nothing is written or installed.
+    /// Only check tables, where their figures are from, targets, and links; nothing is written or installed.
     #[arg(long)]
     check: bool,
 }
@@ -39,6 +42,7 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
         format!("{}: a table is stale; run `cargo xtask docs --tables`", shorter(root, path).display())
     }));
     wrong.extend(unmarked(root)?);
+    wrong.extend(targets::untrue(root)?);
     if !wrong.is_empty() {
         bail!("{}", wrong.join("\n"));
     }
@@ -115,9 +119,8 @@ fn write_generated(root: &Path) -> Result<()> {
         fs::write(&path, sources.expand(&text)?)?;
         println!("{}", shorter(root, &path).display());
     }
-    let says = |arguments: &[&str]| {
-        output(cargo(root).args(["run", "--quiet", "--release", "--bin", "dermis", "--"]).args(arguments))
-    };
+    let dermis = programs::dermis(root)?;
+    let says = |arguments: &[&str]| output(Command::new(&dermis).args(arguments).current_dir(root));
     for (file, arguments) in [
         ("docs/reference/commands.md", &["reference"][..]),
         ("launch/schemas/effects.schema.json", &["schema", "effects"]),

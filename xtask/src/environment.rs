@@ -172,9 +172,17 @@ impl Ros {
     }
 }
 
+/// Folders of our messages, built on the wheels and on a sourced ROS 2.
+const OVERLAYS: [&str; 2] = ["dermis_msgs", "dermis_msgs-sourced"];
+
 /// Packages that r2r makes Rust types of: what the standard topics and services of a node use.
 const IDL_PACKAGES: &str = "action_msgs;builtin_interfaces;dermis_msgs;diagnostic_msgs;geometry_msgs;lifecycle_msgs;\
      rcl_interfaces;rosgraph_msgs;sensor_msgs;service_msgs;std_msgs;std_srvs;tf2_msgs;type_description_interfaces;unique_identifier_msgs;visualization_msgs";
+
+/// Whether ROS 2 has been set up by [`ros`].
+pub fn has_ros(root: &Path) -> bool {
+    OVERLAYS.iter().any(|overlay| home(root).join(overlay).is_dir())
+}
 
 /// Uses the sourced ROS 2 where there is one, otherwise the Kilted wheels; builds `dermis_msgs` beside it.
 pub fn ros(root: &Path) -> Result<Ros> {
@@ -185,7 +193,7 @@ pub fn ros(root: &Path) -> Result<Ros> {
         Some(prefix) => Base::sourced(prefix)?,
         None => Base::wheels(root, &home.join("ros"))?,
     };
-    let overlay = home.join(if sourced.is_some() { "dermis_msgs-sourced" } else { "dermis_msgs" });
+    let overlay = home.join(OVERLAYS[usize::from(sourced.is_some())]);
     interfaces(root, &base, &overlay)?;
     let site = site_packages(&overlay)?;
     let join = |parts: &[&str]| parts.iter().filter(|p| !p.is_empty()).copied().collect::<Vec<_>>().join(":");

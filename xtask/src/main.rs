@@ -9,6 +9,7 @@ mod layers;
 mod lints;
 mod measure;
 mod mutants;
+mod programs;
 mod run;
 mod targets;
 mod test;

@@ -9,8 +9,8 @@ use anyhow::{Context, Result, bail};
 use clap::Subcommand;
 use serde_json::{Value, json};
 
+use crate::programs;
 use crate::run::{cargo, output, run as execute, target_dir};
-use crate::test::{BUILD, WITHOUT_ROS};
 
 mod comparisons;
 mod e_skins;
@@ -197,7 +197,8 @@ fn children_cpu() -> Result<f64> {
 
 /// By the programs that are measured for speed, with the bundles that ship.
 fn start(root: &Path) -> Result<Value> {
-    execute(cargo(root).args(PROGRAM))?;
+    // As it ships: what only tests need would be loaded, too.
+    execute(cargo(root).args(["build", "--release", "-p", "dermis"]))?;
     execute(cargo(root).args(["build", "--release", "-p", "dermis-benches"]))?;
     let programs = target_dir(root).join("release");
     let mut bench = Command::new(programs.join("dermis-bench"));
@@ -226,8 +227,7 @@ const BINS: &str = "0.2,0.4,0.6,0.9,1.2";
 
 /// Evaluates the bundles that ship on freshly collected bags.
 fn accuracy(root: &Path) -> Result<Value> {
-    execute(cargo(root).args(BUILD).args(WITHOUT_ROS))?;
-    let dermis = target_dir(root).join("release/dermis");
+    let dermis = programs::dermis(root)?;
     let dir = scratch(root, "accuracy")?;
     let mut all = serde_json::Map::new();
     for name in ["line", "grid", "dome"] {
@@ -296,15 +296,12 @@ fn beside_bound<'a>(found: &'a Value, contacts: u64, quantity: &str) -> &'a Valu
     found["against_bound"].as_array().into_iter().flatten().find(fits).unwrap_or(&Value::Null)
 }
 
-/// What measures the limb: only the program itself.
-const PROGRAM: [&str; 4] = ["build", "--release", "--package", "dermis"];
 /// The limb's skin.
 const LIMB: &str = "launch/skins/hapdef-shin.toml";
 
 /// Diagnoses benchmark sets with withheld causes.
 fn gap(root: &Path) -> Result<Value> {
-    execute(cargo(root).args(PROGRAM))?;
-    let dermis = target_dir(root).join("release/dermis");
+    let dermis = programs::dermis(root)?;
     let dir = scratch(root, "gap")?;
     let mut found = serde_json::Map::new();
     for (name, skin, seeds) in GAPS {
@@ -328,9 +325,8 @@ fn gap(root: &Path) -> Result<Value> {
 
 /// Kills a node under `launch`, and waits for its contacts.
 fn restart(root: &Path) -> Result<Value> {
-    execute(cargo(root).args(BUILD).args(WITHOUT_ROS))?;
-    let bench = target_dir(root).join("release/dermis-bench");
-    evaluation(Command::new(bench).arg("restart").current_dir(root))
+    let programs = programs::built(root, &["dermis", "dermis-bench"])?;
+    evaluation(Command::new(programs.join("dermis-bench")).arg("restart").current_dir(root))
 }
 
 /// Table 5.2 of the thesis: RMS errors [mm] of its networks on real sensors, in the bins of [`BINS`].
@@ -339,8 +335,7 @@ const THESIS: [(&str, [f64; 5]); 2] =
 
 /// Trains and evaluates on one device with the default effects.
 fn realism(root: &Path) -> Result<Value> {
-    execute(cargo(root).args(BUILD).args(WITHOUT_ROS))?;
-    let dermis = target_dir(root).join("release/dermis");
+    let dermis = programs::dermis(root)?;
     let dir = scratch(root, "realism")?;
     // One device for both bags, whose plans have seeds of their own.
     let effects = std::fs::read_to_string(root.join("launch/effects/baro-default.toml"))?;
@@ -410,8 +405,8 @@ fn tanks(root: &Path) -> Result<Value> {
             json!({ "skipped": format!("{} has no recordings of tanks: set DERMIS_DATA", data.display()) }),
         );
     }
-    execute(cargo(root).args(["build", "--release", "-p", "dermis-testbed", "--bin", "dermis-tanks"]))?;
-    let mut value = evaluation(Command::new(target_dir(root).join("release/dermis-tanks")).args(folders))?;
+    let tanks = programs::built(root, &["dermis-tanks"])?.join("dermis-tanks");
+    let mut value = evaluation(Command::new(tanks).args(folders))?;
     let summary =
         ["round", "measured_outline"].map(|outline| (outline.to_owned(), explained(&value, outline)));
     value["summary"] = Value::Object(summary.into_iter().collect());

@@ -42,6 +42,8 @@ struct Target {
     command: String,
     /// Where the figure stands in that JSON (RFC 6901).
     pointer: String,
+    /// File in `benches/results/`, without `.json`, that keeps what the command measured, with the figure at the same place.
+    record: Option<String>,
     /// Last measured value, and the commit it was measured at.
     value: Option<f64>,
     commit: Option<String>,
@@ -71,12 +73,45 @@ fn measure(root: &Path, target: &Target) -> Result<f64> {
         .with_context(|| format!("its JSON has no number at {}: {line}", target.pointer))
 }
 
+impl File {
+    fn read(root: &Path) -> Result<Self> {
+        let path = root.join("targets.toml");
+        let text =
+            std::fs::read_to_string(&path).with_context(|| format!("{} cannot be read", path.display()))?;
+        toml::from_str(&text).with_context(|| format!("{} is not as expected", path.display()))
+    }
+}
+
+/// Share by which a rounded value may differ from its record.
+const ROUNDED: f64 = 0.02;
+
+/// What is not true of `targets.toml`, one sentence each: a value that is not that of its record, a missed bound without a reason.
+pub fn untrue(root: &Path) -> Result<Vec<String>> {
+    let mut wrong = Vec::new();
+    for target in &File::read(root)?.target {
+        let Target { name, bound, pointer, value: Some(value), note, .. } = target else { continue };
+        if !keeps(bound, *value)? && !note.as_ref().is_some_and(|note| note.contains("missed")) {
+            wrong.push(format!("targets.toml: `{name}` misses its bound; say so in its note, and why"));
+        }
+        let Some(record) = &target.record else { continue };
+        let path = root.join("benches/results").join(format!("{record}.json"));
+        let text = std::fs::read(&path)
+            .with_context(|| format!("{} cannot be read, the record of `{name}`", path.display()))?;
+        let recorded: serde_json::Value =
+            serde_json::from_slice(&text).with_context(|| format!("{} is no JSON", path.display()))?;
+        match recorded.pointer(pointer).and_then(serde_json::Value::as_f64) {
+            Some(found) if (found - value).abs() <= ROUNDED * found.abs() => {}
+            found => wrong.push(format!(
+                "targets.toml: `{name}` is {value}, and {} at {pointer} of benches/results/{record}.json; enter what was measured last",
+                found.map_or("no number".to_owned(), |found| found.to_string())
+            )),
+        }
+    }
+    Ok(wrong)
+}
+
 pub fn run(root: &Path, options: &Options) -> Result<()> {
-    let path = root.join("targets.toml");
-    let text =
-        std::fs::read_to_string(&path).with_context(|| format!("{} cannot be read", path.display()))?;
-    let file: File =
-        toml::from_str(&text).with_context(|| format!("{} is not as expected", path.display()))?;
+    let file = File::read(root)?;
     let wanted: Vec<&Target> = file
         .target
         .iter()
@@ -147,8 +182,7 @@ mod tests {
     #[test]
     fn the_file_of_this_repository_is_well_formed() {
         let root = crate::run::root().unwrap();
-        let file: File =
-            toml::from_str(&std::fs::read_to_string(root.join("targets.toml")).unwrap()).unwrap();
+        let file = File::read(&root).unwrap();
         let mut names: Vec<&str> = file.target.iter().map(|t| t.name.as_str()).collect();
         names.sort_unstable();
         let count = names.len();
@@ -158,5 +192,32 @@ mod tests {
             keeps(&target.bound, 0.0).unwrap();
             assert!(target.pointer.starts_with('/'));
         }
+        assert_eq!(untrue(&root).unwrap(), [""; 0]);
+    }
+
+    #[test]
+    fn what_a_record_contradicts_and_a_miss_without_a_reason_are_found() {
+        let root = tempfile::tempdir().unwrap();
+        std::fs::create_dir_all(root.path().join("benches/results")).unwrap();
+        std::fs::write(root.path().join("benches/results/r.json"), r#"{ "a": 1.004, "b": 2.0 }"#).unwrap();
+        let target = |name: &str, value: f64, note: &str| {
+            format!(
+                "[[target]]\nname = \"{name}\"\nwhat = \"w\"\nbound = \"<= 3\"\nunit = \"\"\ncommand = \"c\"\npointer = \"/{name}\"\n\
+                 record = \"r\"\nvalue = {value}\n{note}\n"
+            )
+        };
+        let text = [target("a", 1.0, ""), target("b", 4.0, ""), target("c", 1.0, "")].concat();
+        std::fs::write(root.path().join("targets.toml"), &text).unwrap();
+        let wrong = untrue(root.path()).unwrap();
+        assert_eq!(
+            wrong,
+            [
+                "targets.toml: `b` misses its bound; say so in its note, and why",
+                "targets.toml: `b` is 4, and 2 at /b of benches/results/r.json; enter what was measured last",
+                "targets.toml: `c` is 1, and no number at /c of benches/results/r.json; enter what was measured last",
+            ]
+        );
+        std::fs::write(root.path().join("targets.toml"), target("b", 4.0, "note = \"missed: why\"")).unwrap();
+        assert_eq!(untrue(root.path()).unwrap().len(), 1);
     }
 }

@@ -43,7 +43,7 @@ pub const ROS_IN_PROGRAM: [&str; 2] = [
 ];
 
 /// Programs and tests in one go: apart, their dependencies differ in features and are built twice.
-pub const BUILD: [&str; 4] = ["build", "--release", "--bins", "--tests"];
+const BUILD: [&str; 4] = ["build", "--release", "--bins", "--tests"];
 
 /// What is linted: examples and benches, too.
 const LINTED: [&str; 3] = ["build", "--release", "--all-targets"];

@@ -11,15 +11,15 @@ use std::process::Command;
 use anyhow::Result;
 use serde_json::{Value, json};
 
-use super::{PROGRAM, commit, evaluation, scratch, write};
-use crate::run::{cargo, run as execute, target_dir};
+use super::{commit, evaluation, scratch, write};
+use crate::programs;
+use crate::run::run as execute;
 
 /// Skins, and whether the thesis has a network for it.
 const SKINS: [(&str, bool); 3] = [("line", true), ("grid", true), ("dome", false)];
 
 pub(super) fn comparisons(root: &Path) -> Result<Value> {
-    execute(cargo(root).args(PROGRAM))?;
-    let (dermis, dir) = (target_dir(root).join("release/dermis"), scratch(root, "comparisons")?);
+    let (dermis, dir) = (programs::dermis(root)?, scratch(root, "comparisons")?);
     let commit = commit(root)?;
     let mut all = serde_json::Map::new();
     for (name, thesis) in SKINS {

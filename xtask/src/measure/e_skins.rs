@@ -6,8 +6,9 @@ use std::process::Command;
 use anyhow::Result;
 use serde_json::{Value, json};
 
-use super::{PROGRAM, evaluation, scratch};
-use crate::run::{cargo, run as execute, target_dir};
+use super::{evaluation, scratch};
+use crate::programs;
+use crate::run::run as execute;
 
 /// Folders of the recordings, and the mean error \[mm\] of a kernel ridge regression on the same kind of split, which is the target.
 const SKINS: [(&str, &str, f64); 5] = [
@@ -27,8 +28,7 @@ pub fn e_skins(root: &Path) -> Result<Value> {
                         whose recordings state no licence and are not part of this one",
         }));
     };
-    execute(cargo(root).args(PROGRAM))?;
-    let dermis = target_dir(root).join("release/dermis");
+    let dermis = programs::dermis(root)?;
     let dir = scratch(root, "e-skins")?;
     let skin = root.join("launch/skins/e-skin-hydrogel.toml");
     let mut all = serde_json::Map::new();

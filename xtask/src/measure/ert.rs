@@ -15,8 +15,9 @@ use clap::Args;
 use serde_json::{Map, Value, json};
 use toml::{Table, Value as Toml};
 
-use super::{PROGRAM, collected, commit, evaluation, fingerprint, read_toml, scratch, write};
-use crate::run::{cargo, run as execute, target_dir};
+use super::{collected, commit, evaluation, fingerprint, read_toml, scratch, write};
+use crate::programs;
+use crate::run::run as execute;
 
 const SKIN: &str = "launch/skins/ert-panel.toml";
 /// What makes the "real" device differ from its design.
@@ -110,8 +111,7 @@ pub(super) fn tables(root: &Path, sizes: &Sizes) -> Result<Value> {
             bail!("{file} is missing: these tables need the family of the conductive panel");
         }
     }
-    let program = ["build", "--release", "--package", "dermis", "--features", "train"];
-    execute(cargo(root).args(program))?;
+    let dermis = programs::dermis(root)?;
     let Sizes { share, epochs, .. } = sizes;
     // What was done of the same size and the same files is not done again; of another commit the measuring code may differ.
     let plans = PLANS.map(|name| plan_file(Path::new(""), name));
@@ -120,7 +120,7 @@ pub(super) fn tables(root: &Path, sizes: &Sizes) -> Result<Value> {
     let made_of = fingerprint(root, &files, (commit(root)?, share.to_bits(), epochs))?;
     let dir = root.join(format!(".dermis/measure/ert-tables/{made_of:016x}"));
     std::fs::create_dir_all(&dir)?;
-    let work = Work { root, dermis: target_dir(root).join("release/dermis"), dir, sizes };
+    let work = Work { root, dermis, dir, sizes };
     let file = root.join(RESULT);
     let mut record: Map<String, Value> = match std::fs::read(&file) {
         Ok(text) => {
@@ -144,8 +144,7 @@ pub(super) fn tables(root: &Path, sizes: &Sizes) -> Result<Value> {
 /// Contacts by inversion of the forward model on the presses of the plan that models are measured on, and writes the result beside the
 /// others.
 pub(super) fn inversion(root: &Path) -> Result<Value> {
-    execute(cargo(root).args(PROGRAM))?;
-    let (dermis, bag) = (target_dir(root).join("release/dermis"), scratch(root, "panel")?.join("hex"));
+    let (dermis, bag) = (programs::dermis(root)?, scratch(root, "panel")?.join("hex"));
     let mut collect = Command::new(&dermis);
     collect.args(["collect", SKIN, "--plan", "launch/plans/ert-panel-hex-evaluate.toml", "--out"]).arg(&bag);
     execute(collect.current_dir(root))?;

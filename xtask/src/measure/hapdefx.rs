@@ -8,8 +8,8 @@ use clap::Args;
 use serde_json::{Map, Value, json};
 
 use super::limb::{LIMB_EFFECTS, limb_bag};
-use super::{LIMB, PROGRAM, commit, evaluation, write};
-use crate::run::{cargo, run as execute, target_dir};
+use super::{LIMB, commit, evaluation, write};
+use crate::programs;
 
 /// How much is measured.
 #[derive(Args)]
@@ -46,8 +46,7 @@ fn thesis() -> Value {
 }
 
 pub(super) fn run(root: &Path, options: &Options) -> Result<Value> {
-    execute(cargo(root).args(PROGRAM))?;
-    let dermis = target_dir(root).join("release/dermis");
+    let dermis = programs::dermis(root)?;
     let device = ["--effects", LIMB_EFFECTS, "--seed", "7"];
     let (train, doubles) =
         (limb_bag(root, &dermis, "train", &device)?, limb_bag(root, &dermis, "doubles", &device)?);

@@ -11,8 +11,9 @@ use std::process::Command;
 use anyhow::{Context, Result};
 use serde_json::{Value, json};
 
-use super::{PROGRAM, children_cpu, commit, evaluation, read_toml, scratch, write};
-use crate::run::{cargo, run as execute, target_dir};
+use super::{children_cpu, commit, evaluation, read_toml, scratch, write};
+use crate::programs;
+use crate::run::run as execute;
 
 const SKIN: &str = "launch/skins/insight-thumb.toml";
 const MODEL: &str = "models/insight-thumb";
@@ -40,8 +41,7 @@ const BINS: &str = "0.03,0.1,0.3,1";
 
 /// Measures, and writes each result beside the others as soon as it is there.
 pub(super) fn accuracy(root: &Path) -> Result<Value> {
-    execute(cargo(root).args(PROGRAM))?;
-    let (dermis, dir) = (target_dir(root).join("release/dermis"), scratch(root, "insight")?);
+    let (dermis, dir) = (programs::dermis(root)?, scratch(root, "insight")?);
     let mut all = serde_json::Map::new();
     for (plan, result, reduced) in PLANS {
         let (bag, file) = (dir.join(plan), format!("launch/plans/insight-thumb-{plan}.toml"));
@@ -82,8 +82,7 @@ const MAP_CONFIG: &str = "launch/train/insight-thumb-map.toml";
 
 /// One network for each way to spread a force (Table 6.6 of the thesis), each by itself at the same held-out locations.
 pub(super) fn maps(root: &Path) -> Result<Value> {
-    execute(cargo(root).args(PROGRAM))?;
-    let (dermis, dir) = (target_dir(root).join("release/dermis"), scratch(root, "insight-maps")?);
+    let (dermis, dir) = (programs::dermis(root)?, scratch(root, "insight-maps")?);
     let train = dir.join("train");
     let mut collect = Command::new(&dermis);
     collect.args(["collect", SKIN, "--plan", MAP_PLAN, "--no-images", "--out"]).arg(&train);

@@ -3,11 +3,12 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use serde_json::{Value, json};
 
-use super::{LIMB, PROGRAM, collected, evaluation, fingerprint, scratch};
-use crate::run::{cargo, run as execute, target_dir};
+use super::{LIMB, collected, commit, evaluation, fingerprint, scratch, write};
+use crate::programs;
+use crate::run::run as execute;
 
 /// A file of the limb's effects as a command takes it.
 pub(super) const LIMB_EFFECTS: &str = "launch/effects/hapdef-default.toml";
@@ -27,8 +28,7 @@ pub(super) fn limb_bag(root: &Path, dermis: &Path, plan: &str, device: &[&str]) 
 
 /// Evaluates the limb's bundle in the bins of force of the thesis' Table 2.2.
 pub(super) fn limb(root: &Path) -> Result<Value> {
-    execute(cargo(root).args(PROGRAM))?;
-    let dermis = target_dir(root).join("release/dermis");
+    let dermis = programs::dermis(root)?;
     let devices: [(&str, &[&str]); 3] = [
         ("designed", &[]),
         ("one dead gauge", &["--effect", "dead-gauge=1", "--seed", "3"]),
@@ -110,8 +110,7 @@ pub(super) fn limb(root: &Path) -> Result<Value> {
 
 /// Learns from single contacts of one device with the default effects, and compares all ways on its doubles.
 pub(super) fn real2sim(root: &Path) -> Result<Value> {
-    execute(cargo(root).args(PROGRAM))?;
-    let dermis = target_dir(root).join("release/dermis");
+    let dermis = programs::dermis(root)?;
     let dir = scratch(root, "real2sim")?;
     let device = ["--effects", LIMB_EFFECTS, "--seed", "7"];
     let (train, doubles) =
@@ -148,11 +147,17 @@ pub(super) fn real2sim(root: &Path) -> Result<Value> {
         all.insert("double".to_owned(), double);
         Value::Object(all)
     };
-    Ok(json!({
-        "corrected": rows("corrected model, all pairs"),
+    let mut record = found.as_object().cloned().context("the comparison is no object")?;
+    for (key, value) in [
+        ("command", json!("cargo xtask measure real2sim")),
+        ("commit", json!(commit(root)?)),
+        ("corrected", rows("corrected model, all pairs")),
         // Reduced: `cargo xtask measure hapdefx` has the sizes of the thesis.
-        "hapdefx": rows("hapdef-shin-real2sim: peaks"),
-        "left_out": found["left_out"],
-        "asks": found["asks"],
-    }))
+        ("hapdefx", rows("hapdef-shin-real2sim: peaks")),
+    ] {
+        record.insert(key.to_owned(), value);
+    }
+    let record = Value::Object(record);
+    write(&root.join("benches/results/real2sim-shin.json"), &record)?;
+    Ok(record)
 }

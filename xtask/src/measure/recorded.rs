@@ -10,8 +10,9 @@ use std::process::Command;
 use anyhow::{Context, Result};
 use serde_json::{Value, json};
 
-use super::{PROGRAM, commit, evaluation, read_toml, recordings, scratch, write};
-use crate::run::{cargo, run as execute, target_dir};
+use super::{commit, evaluation, read_toml, recordings, scratch, write};
+use crate::programs;
+use crate::run::run as execute;
 
 /// What is learned, of which recordings, and the figure of the result that transfers are judged by.
 pub(super) struct Quantity {
@@ -68,8 +69,7 @@ struct Work<'a> {
 impl<'a> Work<'a> {
     /// Builds the program, and imports the recordings into a folder.
     fn begin(root: &'a Path, quantity: &Quantity, dir: &Path) -> Result<Self> {
-        execute(cargo(root).args(PROGRAM))?;
-        let dermis = target_dir(root).join("release/dermis");
+        let dermis = programs::dermis(root)?;
         let bags = import(root, &dermis, quantity.folder, dir)?;
         Ok(Self { root, dermis, skin: root.join(format!("launch/skins/{}.toml", quantity.skin)), bags })
     }
