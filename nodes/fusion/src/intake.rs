@@ -59,8 +59,8 @@ impl Health {
     }
 }
 
-/// Whether a skin with this status feels anything.
-fn feels(status: u8) -> bool {
+/// Whether a skin with this status, or all skins of which it is the worst, can say what touches.
+pub(crate) fn feels(status: u8) -> bool {
     matches!(status, ContactArray::STATUS_OK | ContactArray::STATUS_DEGRADED)
 }
 

@@ -16,6 +16,7 @@ use nalgebra::{Isometry3, Matrix3, Vector3};
 
 use crate::cause::Cause;
 use crate::fuser::BodyState;
+use crate::intake::feels;
 use crate::slip::Slip;
 use crate::torque::Torques;
 use crate::touch::{BodyTouch, LinkLoad};
@@ -126,23 +127,32 @@ fn link_wrench(robot: &Robot, load: &LinkLoad) -> LinkWrench {
     }
 }
 
-/// The wrench on one link, about its origin, in its frame.
+/// The wrench on one link, about its origin, in its frame; `None` where one of its skins cannot feel.
 #[must_use]
-pub fn wrench_of_link(robot: &Robot, stamp: Stamp, load: &LinkLoad) -> WrenchStamped {
-    let header = Header::new(stamp, robot.body.links()[load.link].as_str());
-    WrenchStamped { header, wrench: wrench(&load.wrench) }
+pub fn wrench_of_link(robot: &Robot, stamp: Stamp, load: &LinkLoad) -> Option<WrenchStamped> {
+    let header = || Header::new(stamp, robot.body.links()[load.link].as_str());
+    feels(load.status).then(|| WrenchStamped { header: header(), wrench: wrench(&load.wrench) })
 }
 
-/// The sum of all forces, about the origin of the body frame.
-#[must_use]
-pub fn net_wrench(robot: &Robot, state: &BodyState) -> WrenchStamped {
-    WrenchStamped { header: header(robot, state.stamp), wrench: wrench(&state.net) }
+/// Whether sums over the body hold what every skin feels. Messages of sums have no status, and must not say "no touch" where nobody knows.
+fn is_whole(state: &BodyState) -> bool {
+    feels(state.status) && state.net.force.iter().chain(state.net.torque.iter()).all(|v| v.is_finite())
 }
 
-/// What contacts put on each joint; `None` where no joint states come.
+fn is_placed(touch: &BodyTouch) -> bool {
+    touch.body_from_contact.translation.vector.iter().all(|v| v.is_finite())
+}
+
+/// The sum of all forces, about the origin of the body frame; `None` where a skin cannot feel, or joints do not say where its link is.
+#[must_use]
+pub fn net_wrench(robot: &Robot, state: &BodyState) -> Option<WrenchStamped> {
+    is_whole(state).then(|| WrenchStamped { header: header(robot, state.stamp), wrench: wrench(&state.net) })
+}
+
+/// What contacts put on each joint; `None` where no joint states come, and where [`net_wrench`] is.
 #[must_use]
 pub fn joint_torques(robot: &Robot, state: &BodyState) -> Option<JointState> {
-    (!state.torques.is_empty()).then(|| JointState {
+    (is_whole(state) && !state.torques.is_empty()).then(|| JointState {
         header: Header::new(state.stamp, ""),
         name: robot.body.coordinates().map(|joint| joint.name.clone()).collect(),
         effort: state.torques.clone(),
@@ -152,12 +162,10 @@ pub fn joint_torques(robot: &Robot, state: &BodyState) -> Option<JointState> {
 
 /// Contacts that have a place on the body, in the body frame.
 fn in_body(state: &BodyState) -> Vec<Contact> {
-    let placed =
-        |touch: &&BodyTouch| touch.body_from_contact.translation.vector.iter().all(|v| v.is_finite());
     state
         .contacts
         .iter()
-        .filter(placed)
+        .filter(|touch| is_placed(touch))
         .map(|touch| {
             let turn = touch.body_from_link.rotation;
             let mut contact = touch.contact.clone();
@@ -169,10 +177,13 @@ fn in_body(state: &BodyState) -> Vec<Contact> {
         .collect()
 }
 
-/// One point a contact that has a place on the body.
+/// One point a contact that has a place on the body. `None` in place of an empty cloud where a skin cannot feel, or a contact has no
+/// place on the body: an empty one says that nothing touches.
 #[must_use]
-pub fn points(robot: &Robot, state: &BodyState) -> PointCloud2 {
-    points_in(header(robot, state.stamp), &in_body(state))
+pub fn points(robot: &Robot, state: &BodyState) -> Option<PointCloud2> {
+    let contacts = in_body(state);
+    let all = feels(state.status) && contacts.len() == state.contacts.len();
+    (all || !contacts.is_empty()).then(|| points_in(header(robot, state.stamp), &contacts))
 }
 
 /// One arrow a contact that has a place on the body; it vanishes by itself after `lifetime` \[s\].
@@ -229,6 +240,8 @@ pub fn moving_transforms(robot: &Robot, stamp: Stamp, positions: &[f64]) -> TFMe
 
 #[cfg(test)]
 mod tests {
+    use dermis_msgs::msg::ContactArray;
+
     use super::*;
     use crate::settings::Settings;
     use crate::testing::{BEGIN, MS, contact, fuser, report};
@@ -276,15 +289,40 @@ mod tests {
     #[test]
     fn points_and_arrows_are_in_the_body_frame() {
         let (robot, state) = touched();
-        let cloud = points(&robot, &state);
+        let cloud = points(&robot, &state).unwrap();
         assert_eq!((cloud.header.frame_id.as_str(), cloud.width), ("base", 1));
         let float = |i: usize| f32::from_le_bytes(cloud.data[4 * i..4 * i + 4].try_into().unwrap());
         assert!((float(1) - 0.35).abs() < 1e-6 && (float(8) + 10.0).abs() < 1e-3);
         let arrows = markers(&robot, &state, 0.2);
         assert_eq!((arrows.markers.len(), arrows.markers[0].ns.as_str()), (1, MARKERS));
+        assert!(net_wrench(&robot, &state).is_some() && joint_torques(&robot, &state).is_some());
         let mut lost = state;
         lost.contacts[0].body_from_contact.translation.vector.fill(f64::NAN);
-        assert_eq!(points(&robot, &lost).width, 0, "without joint positions there is no place");
+        assert_eq!(points(&robot, &lost), None, "without joint positions there is no place");
+        lost.net.force.x = f64::NAN;
+        assert!(net_wrench(&robot, &lost).is_none() && joint_torques(&robot, &lost).is_none());
+    }
+
+    #[test]
+    fn what_has_no_status_is_silent_where_a_skin_cannot_feel() {
+        let (robot, mut state) = touched();
+        for (status, whole) in [
+            (ContactArray::STATUS_OK, true),
+            (ContactArray::STATUS_DEGRADED, true),
+            (ContactArray::STATUS_STALE, false),
+            (ContactArray::STATUS_UNCALIBRATED, false),
+            (ContactArray::STATUS_FAULT, false),
+        ] {
+            state.status = status;
+            assert_eq!(net_wrench(&robot, &state).is_some(), whole);
+            assert_eq!(joint_torques(&robot, &state).is_some(), whole);
+            // What another skin feels is an obstacle all the same.
+            assert_eq!(points(&robot, &state).unwrap().width, 1);
+            let untouched = BodyState { contacts: Vec::new(), ..state.clone() };
+            assert_eq!(points(&robot, &untouched).map(|cloud| cloud.width), whole.then_some(0));
+            let load = LinkLoad { status, ..state.links[0].clone() };
+            assert_eq!(wrench_of_link(&robot, BEGIN, &load).is_some(), whole);
+        }
     }
 
     #[test]

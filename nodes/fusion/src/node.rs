@@ -451,12 +451,12 @@ impl Shared {
         publishers.contacts.offer(|| Some(messages::body_contacts(robot, &state, sequence)));
         for load in &state.links {
             if let Some(publisher) = publishers.links.get(&load.link) {
-                publisher.offer(|| Some(messages::wrench_of_link(robot, state.stamp, load)));
+                publisher.offer(|| messages::wrench_of_link(robot, state.stamp, load));
             }
         }
-        publishers.net.offer(|| Some(messages::net_wrench(robot, &state)));
+        publishers.net.offer(|| messages::net_wrench(robot, &state));
         publishers.torques.offer(|| messages::joint_torques(robot, &state));
-        publishers.points.offer(|| Some(messages::points(robot, &state)));
+        publishers.points.offer(|| messages::points(robot, &state));
         if !state.contacts.is_empty() {
             if core.markers_sent.is_none_or(|at| at.elapsed() >= MARKER_PERIOD) {
                 core.markers_sent = Some(Instant::now());
