@@ -241,6 +241,7 @@ mod tests {
         let arrival = |sequence: u64, contacts| Arrival {
             sequence,
             received_ns: sequence as i64 * 1_000_000 + 400_000,
+            published_ns: 0,
             status: ContactArray::STATUS_OK,
             contacts,
         };

@@ -79,6 +79,8 @@ pub struct Arrival {
     pub sequence: u64,
     /// When it had been decoded, ns since the epoch.
     pub received_ns: i64,
+    /// When its publisher sent it, ns since the epoch; 0 where that is not known.
+    pub published_ns: i64,
     /// `ContactArray::STATUS_*`.
     pub status: u8,
     /// Number of contacts, at most 255.
@@ -86,14 +88,15 @@ pub struct Arrival {
 }
 
 impl Arrival {
-    const BYTES: usize = 24;
+    const BYTES: usize = 32;
 
     fn to_bytes(self) -> [u8; Self::BYTES] {
         let mut bytes = [0; Self::BYTES];
         bytes[..8].copy_from_slice(&self.sequence.to_le_bytes());
         bytes[8..16].copy_from_slice(&self.received_ns.to_le_bytes());
-        bytes[16] = self.status;
-        bytes[17] = self.contacts;
+        bytes[16..24].copy_from_slice(&self.published_ns.to_le_bytes());
+        bytes[24] = self.status;
+        bytes[25] = self.contacts;
         bytes
     }
 
@@ -106,8 +109,9 @@ impl Arrival {
         Self {
             sequence: u64::from_le_bytes(number(0)),
             received_ns: i64::from_le_bytes(number(8)),
-            status: bytes[16],
-            contacts: bytes[17],
+            published_ns: i64::from_le_bytes(number(16)),
+            status: bytes[24],
+            contacts: bytes[25],
         }
     }
 }
@@ -130,24 +134,32 @@ pub fn run(options: &Options) -> Result<()> {
         sink.lock().unwrap_or_else(PoisonError::into_inner).extend_from_slice(&arrival.to_bytes());
     };
     let _subscription = if options.stops {
-        node.subscribe::<Bool>(&options.topic, qos, move |stop, _| {
-            keep(Arrival { sequence: 0, received_ns: now_ns(), status: u8::from(stop.data), contacts: 0 });
+        node.subscribe::<Bool>(&options.topic, qos, move |stop, info| {
+            keep(Arrival {
+                sequence: 0,
+                received_ns: now_ns(),
+                published_ns: info.source_ns.unwrap_or(0),
+                status: u8::from(stop.data),
+                contacts: 0,
+            });
         })?
     } else if options.body {
-        node.subscribe::<BodyContacts>(&options.topic, qos, move |body, _| {
+        node.subscribe::<BodyContacts>(&options.topic, qos, move |body, info| {
             let received_ns = now_ns();
+            let published_ns = info.source_ns.unwrap_or(0);
             let contacts = u8::try_from(body.contacts.len()).unwrap_or(u8::MAX);
             for (place, skin) in (0..=u8::MAX).zip(&body.skins) {
                 let sequence =
                     u64::from(skin.stamp.sec.unsigned_abs()) * 1_000_000_000 + u64::from(skin.stamp.nanosec);
-                keep(Arrival { sequence, received_ns, status: place, contacts });
+                keep(Arrival { sequence, received_ns, published_ns, status: place, contacts });
             }
         })?
     } else {
-        node.subscribe::<ContactArray>(&options.topic, qos, move |array, _| {
+        node.subscribe::<ContactArray>(&options.topic, qos, move |array, info| {
             keep(Arrival {
                 sequence: array.sequence,
                 received_ns: now_ns(),
+                published_ns: info.source_ns.unwrap_or(0),
                 status: array.status,
                 contacts: u8::try_from(array.contacts.len()).unwrap_or(u8::MAX),
             });
@@ -175,7 +187,8 @@ fn datagrams(path: &Path) -> Result<()> {
             bail!("the chain sends {n} bytes")
         };
         let sequence = u64::from_ne_bytes(*sequence);
-        let arrival = Arrival { sequence, received_ns, status: *status, contacts: *contacts };
+        let arrival =
+            Arrival { sequence, received_ns, published_ns: 0, status: *status, contacts: *contacts };
         if out.write_all(&arrival.to_bytes()).and_then(|()| out.flush()).is_err() {
             return Ok(());
         }
@@ -278,7 +291,8 @@ mod tests {
 
     #[test]
     fn arrivals_come_back_as_they_went() {
-        let arrival = Arrival { sequence: u64::MAX - 3, received_ns: -7, status: 3, contacts: 255 };
+        let arrival =
+            Arrival { sequence: u64::MAX - 3, received_ns: -7, published_ns: 9, status: 3, contacts: 255 };
         assert_eq!(Arrival::from_bytes(&arrival.to_bytes()), arrival);
         let twice = [arrival.to_bytes(), arrival.to_bytes()].concat();
         assert_eq!(arrivals(std::io::Cursor::new(twice)).iter().count(), 2);
