@@ -3,6 +3,7 @@
 use anyhow::Result;
 use clap::Subcommand;
 use dermis_operate::device::{Replay, Replayed, Simulated, Simulation};
+use dermis_operate::robot;
 
 use crate::backend::Choice;
 use crate::registry::sensors;
@@ -14,6 +15,14 @@ pub enum Device {
     Simulate {
         #[command(flatten)]
         request: Box<Simulation>,
+        /// ROS 2 implementation.
+        #[arg(long, value_enum, default_value_t)]
+        backend: Choice,
+    },
+    /// A robot whose joints swing, and where its skins are really touched, on `/joint_states` and `body_truth`.
+    Robot {
+        #[command(flatten)]
+        request: robot::Simulation,
         /// ROS 2 implementation.
         #[arg(long, value_enum, default_value_t)]
         backend: Choice,
@@ -35,6 +44,10 @@ pub fn run(device: &Device) -> Result<()> {
             }
             let stats = device.finish(&stop)?;
             eprintln!("{} frames made, {} not read by anyone", stats.frames, stats.dropped);
+        }
+        Device::Robot { request, backend } => {
+            let backend = backend.open()?;
+            crate::block_on(async { Ok(robot::simulate(request, backend.as_ref(), &stop).await?) })?;
         }
         Device::Replay(request) => {
             let device = Replayed::start(request, sensors())?;

@@ -14,6 +14,7 @@ use std::time::{Duration, Instant};
 use dermis_node::network::SessionOptions;
 use dermis_node::{HirozBackend, HirozConfig};
 
+pub mod hand;
 pub mod launch;
 pub mod rclpy;
 

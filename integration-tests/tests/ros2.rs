@@ -4,7 +4,7 @@
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use dermis_integration_tests::{Pad, Peer, Rclpy, Recorded, program, root, ros_python};
+use dermis_integration_tests::{Pad, Peer, Rclpy, Recorded, hand, program, root, ros_python};
 use serde_json::{Value, json};
 
 const SOON: Duration = Duration::from_secs(60);
@@ -158,6 +158,50 @@ fn fused_contacts_become_those_of_moveit_and_wrenches_of_links() {
     let found = rclpy.event("message", |said| said["topic"] == "/hand/wrench")["value"].clone();
     assert_eq!(found["header"]["frame_id"], "hand");
     assert_eq!(found["wrench"]["torque"]["y"], 0.2);
+}
+
+#[test]
+fn what_the_body_says_is_true_and_planners_get_it() {
+    let Some(python) = ros_python() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    for (file, text) in [("one.urdf", hand::URDF), ("one.toml", hand::ROBOT), ("plan.toml", hand::PLAN)] {
+        std::fs::write(folder.path().join(file), text).unwrap();
+    }
+    let processes = format!(
+        "processes:
+  - name: robot
+    dermis: device robot one.toml --namespace /one --backend ros2
+  - name: device
+    dermis: device simulate {root}/launch/skins/baro-grid.toml --plan plan.toml --link ${{tmp}}/palm --ground-truth /one/palm/ground_truth --instance palm --frame-id palm_skin --backend ros2
+    ready: {{file: '${{tmp}}/palm'}}
+  - name: skin
+    dermis: barodome --skin {root}/launch/skins/baro-grid.toml --model {root}/models/baro-grid --source serial://${{tmp}}/palm --namespace /one/palm --instance palm --frame-id palm_skin --backend ros2
+    after: [device]
+  - name: fusion
+    dermis: fusion --robot one.toml --namespace /one --backend ros2
+",
+        root = root().display()
+    );
+    let file = folder.path().join("one.launch.yaml");
+    std::fs::write(&file, processes).unwrap();
+    let remapped = ["-r", "body_contacts:=/one/body_contacts"];
+    let other = |script: &str, arguments: &[&str]| {
+        Peer::start(Command::new(&python).arg(root().join(script)).args(arguments))
+    };
+    let mut moveit = other("examples/recipes-rclpy/moveit.py", &[&["--ros-args"], &remapped[..]].concat());
+    let mut links = other("examples/recipes-rclpy/links.py", &[&["--ros-args"], &remapped[..]].concat());
+    let mut check = other("integration-tests/python/ros/body_truth.py", &["6"]);
+    let _launch =
+        Peer::start(Command::new(program("dermis")).arg("launch").arg(&file).current_dir(folder.path()));
+    let found: Value = serde_json::from_str(&check.expect("{", 2 * SOON)).unwrap();
+    println!("{found}");
+    let number = |key: &str| found[key].as_f64().unwrap();
+    // The bounds of the same test over the embedded wire (`all/fusion.rs`).
+    assert!(number("away_mm") < 3.0 && number("force") < 0.05 && number("net") < 0.05, "{found}");
+    assert_eq!(found["changed"], 0, "{found}");
+    let contact: Value = serde_json::from_str(&moveit.expect("{", SOON)).unwrap();
+    assert_eq!((&contact["contact_body_1"], &contact["frame_id"]), (&json!("hand"), &json!("hand")));
+    links.expect("hand ", SOON);
 }
 
 #[test]

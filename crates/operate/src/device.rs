@@ -133,6 +133,11 @@ pub struct Published {
     pub network: NetworkArguments,
 }
 
+/// What is said; an argument of a launch file that nobody gave is empty.
+fn given(text: &Option<String>) -> Option<&str> {
+    text.as_deref().filter(|text| !text.is_empty())
+}
+
 /// How often the end is looked for.
 const WAIT: Duration = Duration::from_millis(50);
 
@@ -161,7 +166,8 @@ impl Simulated {
             None => Plan::rated_touches(&skin),
         };
         let rig = published.rig.as_deref().map(LabelMap::load).transpose()?;
-        let skin = skin.into_instance(published.instance.as_deref(), published.frame_id.as_deref(), None)?;
+        let [instance, frame] = [&published.instance, &published.frame_id].map(given);
+        let skin = skin.into_instance(instance, frame, None)?;
         let encoder = sensors.of(&skin)?.encoder(&skin)?;
         let device = VirtualDevice::start_on(encoder, model, &skin, &plan, *seed, &outlet.outlet())?;
         Ok(Self { device, skin, rig, seed: *seed, published: published.clone() })
@@ -176,7 +182,7 @@ impl Simulated {
     /// Whether anything is to be published: [`publish`](Self::publish) does it.
     #[must_use]
     pub fn publishes(&self) -> bool {
-        self.published.ground_truth.is_some() || self.rig.is_some()
+        given(&self.published.ground_truth).is_some() || self.rig.is_some()
     }
 
     /// Publishes what really touches it until the device ends or `stop` is set.
@@ -186,13 +192,16 @@ impl Simulated {
     /// Where the network or the ROS installation refuses.
     pub async fn publish(&self, backend: &dyn Backend, stop: &AtomicBool) -> Result<(), OperateError> {
         let Self { device, skin, published, .. } = self;
-        let options = NodeOptions::new("dermis_testbed")
+        // Several devices of one robot publish: each is a node of its own name.
+        let name = match given(&published.instance) {
+            Some(instance) => format!("dermis_testbed_{instance}"),
+            None => "dermis_testbed".to_owned(),
+        };
+        let options = NodeOptions::new(&name)
             .namespace(published.namespace.clone())
             .network(published.network.choice());
         let node = Node::open(options, backend)?;
-        let truth = published
-            .ground_truth
-            .as_ref()
+        let truth = given(&published.ground_truth)
             .map(|topic| node.stream_publisher::<Indentation>(topic, KEPT))
             .transpose()?;
         let rig = match &self.rig {

@@ -4,6 +4,7 @@ use std::io;
 use std::path::PathBuf;
 
 use dermis_bag::BagError;
+use dermis_body::RobotError;
 use dermis_learn::LearnError;
 use dermis_node::NodeError;
 use dermis_perception::RunError;
@@ -36,6 +37,15 @@ pub enum OperateError {
     /// The virtual testbed refused.
     #[error(transparent)]
     Testbed(#[from] TestbedError),
+    /// A robot file cannot be used.
+    #[error(transparent)]
+    Robot(#[from] RobotError),
+    /// Joint states at a rate that cannot be.
+    #[error("--rate {0} Hz cannot be: joint states come 1 to 1000 times a second")]
+    JointRate(f64),
+    /// Joints that swing through more than their range.
+    #[error("--swing {0} is no share of a joint's range: give 0 to 1")]
+    Swing(f64),
     /// A map of labels cannot be read.
     #[error(transparent)]
     Labels(#[from] LearnError),

@@ -7,6 +7,7 @@
 //! | [`slice`] | copies a part of a bag |
 //! | [`watch`] | follows the contacts of every skin in the ROS graph |
 //! | [`device`] | puts a modelled or a recorded skin behind a pseudo-terminal |
+//! | [`robot`] | moves a robot that carries such skins, and says where they are really touched |
 //! | [`collect`] | has the virtual testbed press a modelled skin and writes a labelled bag |
 //! | [`demo`] | runs a modelled skin, its node and a subscriber, and compares with the ground truth |
 //! | [`launching`] | checks what launch files say of nodes |
@@ -25,6 +26,7 @@ pub mod launching;
 pub mod play;
 pub mod quantity;
 pub mod record;
+pub mod robot;
 pub mod slice;
 mod stats;
 mod touch;
