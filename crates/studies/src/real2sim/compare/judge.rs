@@ -6,7 +6,7 @@ use std::time::Instant;
 use anyhow::Result;
 use dermis_estimate::ContactFinder;
 use dermis_learn::real2sim::Compliance;
-use dermis_learn::{ContactError, Dataset, Evaluation, Evaluator, FrameBounds, SampleId, TruthContact};
+use dermis_learn::{ContactError, Dataset, Evaluation, Evaluator, FrameBounds, SampleId, TruthContact, bins};
 use dermis_skin::Estimate;
 use serde::Serialize;
 
@@ -37,24 +37,23 @@ pub struct Errors {
 
 impl Errors {
     fn of(contacts: &[&ContactError], right: Option<(usize, usize)>, frames: usize) -> Self {
-        let values = |of: fn(&ContactError) -> f64| -> Vec<f64> {
-            let mut values: Vec<f64> =
-                contacts.iter().map(|c| of(c).abs()).filter(|v| v.is_finite()).collect();
-            values.sort_by(f64::total_cmp);
-            values
+        // Mean, root mean square and median, of one bin for all forces.
+        let of_all = |of: fn(&ContactError) -> f64| -> [f64; 3] {
+            let values = contacts.iter().map(|c| of(c)).filter(|v| v.is_finite());
+            let bin = bins(&[0.0], values.map(|value| (0.0, value))).pop();
+            bin.map_or([f64::NAN; 3], |bin| [bin.mean, bin.rms, bin.median.unwrap_or(f64::NAN)])
         };
-        let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len().max(1) as f64;
-        let rms = |v: &[f64]| (v.iter().map(|v| v * v).sum::<f64>() / v.len().max(1) as f64).sqrt();
-        let (locations, forces) = (values(|c| c.position), values(|c| c.normal_force));
+        let [position_mean, position_rms, position_median] = of_all(|c| c.position);
+        let [force_mean, force_rms, _] = of_all(|c| c.normal_force);
         let lost = contacts.iter().filter(|c| !c.found).count();
         Self {
             frames,
             count_right: right.map(|(right, of)| right as f64 / of.max(1) as f64),
-            position_mean: mean(&locations),
-            position_rms: rms(&locations),
-            position_median: locations.get(locations.len() / 2).copied().unwrap_or(f64::NAN),
-            force_mean: mean(&forces),
-            force_rms: rms(&forces),
+            position_mean,
+            position_rms,
+            position_median,
+            force_mean,
+            force_rms,
             lost: lost as f64 / contacts.len().max(1) as f64,
         }
     }
