@@ -130,7 +130,8 @@ fn skins_fusion_reflexes_recorder_and_bridge_share_a_process() {
     for topic in ["/two/palm/contacts", "/two/back/contacts", "/two/body_contacts"] {
         let of_topic = info["topics"].as_array().unwrap().iter().find(|t| t["name"] == topic);
         let messages = of_topic.and_then(|t| t["messages"].as_u64()).unwrap_or_default();
-        assert!(messages > 50, "{messages} of {topic} in {}: {info:#}", last.display());
+        // As many as both skins were felt for.
+        assert!(messages > 10, "{messages} of {topic} in {}: {info:#}", last.display());
     }
 }
 

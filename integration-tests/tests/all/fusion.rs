@@ -190,7 +190,7 @@ const RULES: &str = "schema = 'dermis-reflex/1'\nname = 'guard'\nstart = 'clear'
     [actions.blind]\nkind = 'bool'\ntopic = '/blind'\nheartbeat = 0.1\n\
     [[rules]]\nname = 'touch'\nregion = 'palm'\nforce = { above = 0.4 }\nlatch = false\nquiet = 0.05\ncounts_as_touched = []\nactions = ['stop']\n\
     [[rules]]\nname = 'sense'\nregion = 'palm'\nforce = { above = 1000.0 }\nlatch = false\nquiet = 0.05\n\
-    counts_as_touched = ['missing', 'stale', 'uncalibrated', 'fault']\nactions = ['blind']\n";
+    counts_as_touched = ['late', 'missing', 'stale', 'uncalibrated', 'fault']\nactions = ['blind']\n";
 
 /// What is found within [`PATIENCE`].
 fn wait_for<T>(what: &str, mut found: impl FnMut() -> Option<T>) -> T {
@@ -390,10 +390,14 @@ fn what_the_body_says_is_true_and_a_skin_that_is_killed_is_missed() {
         let found = presses(&body.lock().unwrap(), &truth.lock().unwrap(), &on_body.lock().unwrap());
         (found.len() > 8).then_some(found)
     });
+    let imbalances = wait_for("presses of which all truth is known", || {
+        std::thread::sleep(Duration::from_secs(1));
+        let found = imbalances(&body.lock().unwrap(), &on_body.lock().unwrap());
+        (found.len() > 50).then_some(found)
+    });
     let away = median(found.iter().flat_map(|p| p.away.iter().copied()));
     let force = median(found.iter().flat_map(|p| p.force.iter().map(|f| (f - 1.0).abs())));
     let square = median(found.iter().map(|p| p.square));
-    let imbalances = imbalances(&body.lock().unwrap(), &on_body.lock().unwrap());
     let imbalance = median(imbalances.iter().copied());
     println!(
         "{} presses: place {:.2} mm, force {:.1} % off at the median, squared error of the place {square:.2}; net force {:.1} % off at \
@@ -479,7 +483,7 @@ fn who_is_killed_at_a_random_time_is_back() {
     wait_for("the back feels", || feels(0).then_some(()));
     let mut rng = ChaCha8Rng::seed_from_u64(20);
     for _ in 0..2 {
-        let mut order = [" fusion ", " reflex ", "serial://"];
+        let mut order = [" fusion ", " reflex ", " barodome "];
         order.shuffle(&mut rng);
         for who in order {
             std::thread::sleep(Duration::from_millis(rng.random_range(0..1500)));
