@@ -11,9 +11,15 @@ use crate::test::{WITH_ROS, WITHOUT_ROS};
 /// Builds programs with the features that the tests have, and says where they are: with others, all that they depend on would be built
 /// once more.
 pub fn built(root: &Path, names: &[&str]) -> Result<PathBuf> {
-    let selection: &[&str] = if environment::has_ros(root) { &WITH_ROS } else { &WITHOUT_ROS };
-    let bins = names.iter().flat_map(|name| ["--bin", name]);
-    run(cargo(root).args(["build", "--release"]).args(bins).args(selection))?;
+    let mut build = cargo(root);
+    build.args(["build", "--release"]).args(names.iter().flat_map(|name| ["--bin", name]));
+    // Where ROS 2 is set up, the tests are built with it.
+    if environment::has_ros(root) {
+        build.args(WITH_ROS).envs(environment::ros(root)?.variables());
+    } else {
+        build.args(WITHOUT_ROS);
+    }
+    run(&mut build)?;
     Ok(target_dir(root).join("release"))
 }
 
