@@ -298,7 +298,8 @@ fn untouched(truth: &[Indentation], skin: &str, stamp: i64) -> bool {
     about.clone().count() > 1 && about.clone().all(|t| t.contacts.is_empty())
 }
 
-/// How far the net wrench is from the sum of what really presses, as a share of that: one entry for each message whose touches hold still.
+/// How far the net force is from the sum of all that really presses, as a share of their sizes, because the two skins are pressed from opposite
+/// sides: one entry for each message whose touches hold still.
 fn imbalances(body: &[BodyContacts], truth: &[Indentation]) -> Vec<f64> {
     let mut all = Vec::new();
     for message in body {
@@ -308,10 +309,10 @@ fn imbalances(body: &[BodyContacts], truth: &[Indentation]) -> Vec<f64> {
             held.or_else(|| untouched(truth, skin, stamp).then(Vector3::zeros))
         });
         let [Some(a), Some(b)] = forces else { continue };
-        let sum = a + b;
-        if sum.norm() > 0.5 {
+        let whole = a.norm() + b.norm();
+        if whole > 0.0 {
             let f = &message.net_wrench.force;
-            all.push((Vector3::new(f.x, f.y, f.z) - sum).norm() / sum.norm());
+            all.push((Vector3::new(f.x, f.y, f.z) - a - b).norm() / whole);
         }
     }
     all

@@ -156,10 +156,12 @@ fn pressed_and_found(protocol: &str, rate: f64) {
 
     let held = |c: &Contact| (pressing(c) - FORCE).abs() < 0.1 * FORCE;
     for place in &locations {
+        // First guesses say that they are: a search takes its time on a machine at full load.
         let found = operator.contacts_say("where it is pressed", |array| {
-            array.contacts.iter().any(|c| held(c) && apart(c, place) < 0.004)
+            let searched = array.status == ContactArray::STATUS_OK;
+            searched && array.contacts.iter().any(|c| held(c) && apart(c, place) < 0.004)
         });
-        assert_eq!((found.status, found.contacts.len()), (ContactArray::STATUS_OK, 1), "{found:#?}");
+        assert_eq!(found.contacts.len(), 1, "{found:#?}");
         let contact = &found.contacts[0];
         assert!(contact.track_id > 0 && deviation(contact) < 0.01, "{contact:#?}");
         // The same contact for as long as it is found there: \[s\] and identity, frame by frame. At its very end, when it fades
