@@ -418,7 +418,8 @@ fn what_the_body_says_is_true_and_a_skin_that_is_killed_is_missed() {
         assert!(press.identities.windows(2).all(|w| w[0] == w[1]), "{:?}", press.identities);
     }
     assert!(stop.lock().unwrap().iter().any(|m| m.data), "it was stopped");
-    assert!(!blind.lock().unwrap().last().is_some_and(|m| m.data), "it feels");
+    // Where the machine is so busy that the fusion is late, the reflexes act for a moment.
+    wait_for("it feels", || blind.lock().unwrap().last().is_none_or(|m| !m.data).then_some(()));
 
     skin.kill();
     let status = |message: &BodyContacts| message.skins.iter().find(|s| s.skin == "palm").map(|s| s.status);
