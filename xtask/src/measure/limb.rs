@@ -148,6 +148,7 @@ pub(super) fn real2sim(root: &Path) -> Result<Value> {
         Value::Object(all)
     };
     let mut record = found.as_object().cloned().context("the comparison is no object")?;
+    record.get_mut("rows").and_then(Value::as_array_mut).into_iter().flatten().for_each(shorten);
     for (key, value) in [
         ("command", json!("cargo xtask measure real2sim")),
         ("commit", json!(commit(root)?)),
@@ -160,4 +161,34 @@ pub(super) fn real2sim(root: &Path) -> Result<Value> {
     let record = Value::Object(record);
     write(&root.join("benches/results/real2sim-shin.json"), &record)?;
     Ok(record)
+}
+
+/// Leaves of the evaluation of a row what tables show: errors by force and, over all forces, beside their bounds.
+fn shorten(row: &mut Value) {
+    let Some(evaluation) = row.get_mut("evaluation").and_then(Value::as_object_mut) else { return };
+    let kept = ["frames", "count_right", "missed", "not_found", "by_force", "against_bound"];
+    evaluation.retain(|key, _| kept.contains(&key.as_str()));
+    if let Some(by_force) = evaluation.get_mut("by_force").and_then(Value::as_object_mut) {
+        by_force.retain(|key, _| ["position", "force.normal"].contains(&key.as_str()));
+    }
+    let against = evaluation.get_mut("against_bound").and_then(Value::as_array_mut);
+    for of in against.into_iter().flatten().filter_map(Value::as_object_mut) {
+        of.retain(|key, _| !["by_force", "well_determined"].contains(&key.as_str()));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_row_keeps_what_tables_show() {
+        let of = json!({ "contacts": 1, "all": { "error_rms": 1.0 }, "by_force": [], "well_determined": {} });
+        let mut row = json!({ "method": "m", "evaluation": {
+            "frames": 3, "quantities": {}, "by_force": { "position": [1], "force.x": [2] }, "against_bound": [of] } });
+        shorten(&mut row);
+        let kept = json!({ "method": "m", "evaluation": { "frames": 3, "by_force": { "position": [1] },
+            "against_bound": [{ "contacts": 1, "all": { "error_rms": 1.0 } }] } });
+        assert_eq!(row, kept);
+    }
 }
