@@ -2,10 +2,11 @@
 //!
 //! The robot tells where its tool is in its base (`geometry_msgs/msg/TransformStamped`, or `tf2_msgs/msg/TFMessage`),
 //! the force sensor what it feels (`geometry_msgs/msg/WrenchStamped`). A [`LabelMap`] says how tool, tip, skin and
-//! sensor are mounted, and makes of both what [`Truth`] is: a contact at the first point of the undeformed surface,
+//! sensor are mounted, and makes of both what [`Truth`](crate::Truth) is: a contact at the first point of the undeformed surface,
 //! and a force on the skin, in the frame of the skin's link. `launch/labels/` has an example to copy.
 
 mod file;
+mod label;
 
 use dermis_bag::BagMessage;
 use dermis_msgs::Message;
@@ -15,15 +16,16 @@ use dermis_msgs::geometry_msgs::msg::{
 };
 use dermis_msgs::std_msgs::msg::Header;
 use dermis_msgs::tf2_msgs::msg::TFMessage;
-use dermis_skin::{ForceComponents, SkinDescription, Stamp, Surface};
+use dermis_skin::convert::vector;
+use dermis_skin::{Stamp, Surface};
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
-use serde::Serialize;
 
 use crate::LearnError;
-use crate::dataset::{Truth, TruthContact};
 use crate::findings::Findings;
 
 pub use file::{Carrier, ContactRule, Exerted, ForceSide, Join, LabelMap, Mount, RobotSide, SkinSide};
+pub use label::Bias;
+pub(crate) use label::label;
 
 impl Mount {
     fn isometry(&self) -> Isometry3<f64> {
@@ -90,16 +92,17 @@ impl LabelMap {
         }
     }
 
+    /// \[ns\] between two readings that are still interpolated.
+    fn max_gap(&self) -> i64 {
+        (self.join.max_gap * 1e9) as i64
+    }
+
     fn sign(&self) -> f64 {
         match self.force.exerted_on {
             Exerted::Tip => -1.0,
             Exerted::Skin => 1.0,
         }
     }
-}
-
-fn vector(v: &Vector3<f64>) -> VectorMsg {
-    VectorMsg { x: v.x, y: v.y, z: v.z }
 }
 
 /// Something that is sampled over time.
@@ -279,192 +282,6 @@ impl Locations {
         self.0.push((*point, id));
         id
     }
-}
-
-/// What the rig's force sensor does when nothing touches.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Bias {
-    /// Stretches in which it was measured.
-    pub stretches: usize,
-    /// \[N\] mean over them, in the sensor's axes.
-    pub mean: [f64; 3],
-    /// \[N\] standard deviation of one reading of one axis around it.
-    pub noise: f64,
-}
-
-/// Readings without contact that a bias is taken of at least.
-const FEWEST_FREE: usize = 5;
-
-/// Offset of the force sensor over time: a mean for each stretch in which the tip is away.
-struct Offsets {
-    stretches: Vec<(Stamp, Vector3<f64>)>,
-    squares: f64,
-    readings: usize,
-}
-
-impl Offsets {
-    fn measure(forces: &[(Stamp, Vector3<f64>)], away: &[bool]) -> Self {
-        let mut offsets = Self { stretches: Vec::new(), squares: 0.0, readings: 0 };
-        let mut k = 0;
-        while k < forces.len() {
-            let end = (k..forces.len()).find(|&i| !away[i]).unwrap_or(forces.len());
-            let stretch = &forces[k..end];
-            if stretch.len() >= FEWEST_FREE {
-                let mean = stretch.iter().map(|(_, f)| f).sum::<Vector3<f64>>() / stretch.len() as f64;
-                offsets.squares += stretch.iter().map(|(_, f)| (f - mean).norm_squared()).sum::<f64>();
-                offsets.readings += stretch.len();
-                offsets.stretches.push((stretch[stretch.len() / 2].0, mean));
-            }
-            k = end.max(k + 1);
-        }
-        offsets
-    }
-
-    fn at(&self, stamp: Stamp) -> Vector3<f64> {
-        let (Some(first), Some(last)) = (self.stretches.first(), self.stretches.last()) else {
-            return Vector3::zeros();
-        };
-        let held = if stamp <= first.0 { first.1 } else { last.1 };
-        at(&self.stretches, stamp, i64::MAX).unwrap_or(held)
-    }
-
-    fn figures(&self) -> Bias {
-        let count = self.stretches.len().max(1) as f64;
-        let mean = self.stretches.iter().map(|(_, m)| m).sum::<Vector3<f64>>() / count;
-        let free = (3 * (self.readings.saturating_sub(self.stretches.len()))).max(1) as f64;
-        Bias { stretches: self.stretches.len(), mean: mean.into(), noise: (self.squares / free).sqrt() }
-    }
-}
-
-/// Where the tip is relative to a surface.
-struct Approach {
-    point: Point3<f64>,
-    normal: Vector3<f64>,
-    /// \[m\] between tip and surface, negative where it sinks in.
-    gap: f64,
-    /// Whether the tip is beyond the rim.
-    beside: bool,
-}
-
-fn approach(map: &LabelMap, surface: &Surface, tool: &Isometry3<f64>) -> Approach {
-    let centre = map.skin.pose.isometry().inverse() * (tool * Point3::from(map.robot.tip));
-    let (point, normal) = surface.project(&centre);
-    let offset = centre - point;
-    let along = offset.dot(&normal);
-    let aside = (offset - normal * along).norm();
-    let beside = aside > map.robot.tip_radius.max(1e-6);
-    let distance = if beside { offset.norm() } else { along };
-    Approach { point, normal, gap: distance - map.robot.tip_radius, beside }
-}
-
-/// Ground truth of every frame, given by its stamp; `None` where the rig does not tell.
-pub(crate) fn label(
-    frames: &[Stamp],
-    readings: &mut Readings,
-    map: &LabelMap,
-    skin: &SkinDescription,
-    locations: &mut Locations,
-    place: &str,
-    findings: &mut Findings,
-) -> (Vec<Option<Truth>>, Option<Bias>) {
-    readings.check(map, place, findings);
-    let nothing = vec![None; frames.len()];
-    if findings.is_fatal() {
-        return (nothing, None);
-    }
-    let surface = skin.surface();
-    let max_gap = (map.join.max_gap * 1e9) as i64;
-    let away: Vec<bool> = readings
-        .forces
-        .iter()
-        .map(|(t, _)| {
-            at(&readings.poses, *t, max_gap)
-                .is_some_and(|tool| approach(map, &surface, &tool).gap >= map.contact.clearance)
-        })
-        .collect();
-    let offsets = Offsets::measure(&readings.forces, &away);
-    let clearance = map.contact.clearance * 1e3;
-    if offsets.stretches.is_empty() && map.force.remove_bias {
-        findings.fatal(
-            place,
-            format!(
-                "the tip is never {clearance} mm or more away from the skin for {FEWEST_FREE} readings of {}",
-                map.force.topic
-            ),
-            "the force sensor's bias is unknown; check robot.tip and skin.pose of the map, record the tip in the air, \
-             or set force.remove_bias to false",
-        );
-        return (nothing, None);
-    }
-    let figures = offsets.figures();
-    if figures.noise * 3.0 > map.contact.off {
-        findings.notice(
-            place,
-            format!(
-                "the force sensor's noise without contact is {:.3} N, and contact.off of the map {} N",
-                figures.noise, map.contact.off
-            ),
-            "noise will be taken for contacts; raise contact.on and contact.off to five times the noise",
-        );
-    }
-    let (mut touched, mut press, mut location) = (false, 0, 0);
-    let (mut elsewhere, mut beside) = (0_usize, 0_usize);
-    let to_link = map.skin.pose.isometry().rotation.inverse();
-    let mut labels = Vec::with_capacity(frames.len());
-    for stamp in frames {
-        let (Some(tool), Some(raw)) =
-            (at(&readings.poses, *stamp, max_gap), at(&readings.forces, *stamp, max_gap))
-        else {
-            touched = false;
-            labels.push(None);
-            continue;
-        };
-        let tip = approach(map, &surface, &tool);
-        let bias = if map.force.remove_bias { offsets.at(*stamp) } else { Vector3::zeros() };
-        let force = to_link * (map.sensor_axes(&tool.rotation) * (raw - bias)) * map.sign();
-        let pressing = -force.dot(&tip.normal);
-        let was = touched;
-        touched = pressing >= if was { map.contact.off } else { map.contact.on };
-        let far = tip.gap >= map.contact.clearance;
-        if touched && (far || tip.beside) {
-            // Something is pushed, but not this skin where it has a surface.
-            *(if far { &mut elsewhere } else { &mut beside }) += 1;
-            touched = false;
-            labels.push(None);
-            continue;
-        }
-        if touched && !was {
-            press += 1;
-            location = locations.identify(&tip.point, map.join.location_size);
-        }
-        let contact = TruthContact {
-            position: tip.point,
-            normal: tip.normal,
-            force,
-            components: ForceComponents::Full,
-            diameter: 2.0 * map.robot.tip_radius,
-            flat: false,
-        };
-        labels.push(Some(Truth {
-            press,
-            location: if touched { location } else { 0 },
-            idle: !touched && far,
-            contacts: if touched { vec![contact] } else { Vec::new() },
-        }));
-    }
-    for (count, what) in [
-        (elsewhere, format!("with the tip {clearance} mm or more away from the skin")),
-        (beside, "with the tip beyond the rim of the skin".to_owned()),
-    ] {
-        if count > 0 {
-            findings.notice(
-                place,
-                format!("in {count} of {} frames the force sensor feels a push {what}", frames.len()),
-                "they are not used; check robot.tip, skin.pose and the time offsets of the map",
-            );
-        }
-    }
-    (labels, Some(figures))
 }
 
 #[cfg(test)]

@@ -11,14 +11,14 @@ use std::time::Duration;
 
 use clap::Args;
 use dermis_body::{Body, Joint, Robot};
-use dermis_msgs::builtin_interfaces::msg::Time;
-use dermis_msgs::geometry_msgs::msg::{Point, Pose, Quaternion, Vector3 as VectorMsg};
+use dermis_msgs::geometry_msgs::msg::{Pose, Vector3 as VectorMsg};
 use dermis_msgs::msg::Indentation;
 use dermis_msgs::sensor_msgs::msg::JointState;
 use dermis_msgs::std_msgs::msg::Header;
 use dermis_node::{Backend, Node, NodeOptions, Qos};
 use dermis_perception::cli::NetworkArguments;
-use nalgebra::{Isometry3, Point3, Quaternion as Rotation, Translation3, UnitQuaternion, Vector3};
+use dermis_skin::convert;
+use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 use tokio::time::MissedTickBehavior;
 
@@ -95,7 +95,8 @@ impl Swing {
             period = period.max(TAU * amplitude / (FASTEST * limits.velocity));
         }
         // Joints that may stand at 0 swing about it, as far as their range goes.
-        let middle = 0.0_f64.clamp(lower + amplitude, upper - amplitude);
+        // Not `clamp`: of the whole range both ends are its middle, which rounding may exchange.
+        let middle = 0.0_f64.max(lower + amplitude).min(upper - amplitude);
         Self { middle, amplitude, period }
     }
 
@@ -127,7 +128,7 @@ impl Motion {
     fn state(&self, body: &Body, stamp: i64) -> JointState {
         let (position, velocity) = self.0.iter().map(|swing| swing.at(stamp)).unzip();
         JointState {
-            header: Header { stamp: Time::from_nanos(stamp), frame_id: String::new() },
+            header: Header::new(stamp, ""),
             name: body.coordinates().map(|joint| joint.name.clone()).collect(),
             position,
             velocity,
@@ -147,7 +148,7 @@ fn on_body(robot: &Robot, motion: &Motion, skin: usize, mut truth: Indentation) 
     for contact in &mut truth.contacts {
         let p = &contact.position;
         let position = body_from_skin * Point3::new(p.x, p.y, p.z);
-        contact.position = Point { x: position.x, y: position.y, z: position.z };
+        contact.position = convert::point(&position);
         turn(&body_from_skin, &mut contact.normal);
         turn(&body_from_skin, &mut contact.force);
         contact.tip_pose = moved(&body_from_skin, &contact.tip_pose);
@@ -156,19 +157,13 @@ fn on_body(robot: &Robot, motion: &Motion, skin: usize, mut truth: Indentation) 
 }
 
 fn turn(by: &Isometry3<f64>, vector: &mut VectorMsg) {
-    let turned = by.rotation * Vector3::new(vector.x, vector.y, vector.z);
-    *vector = VectorMsg { x: turned.x, y: turned.y, z: turned.z };
+    *vector = convert::vector(&(by.rotation * Vector3::new(vector.x, vector.y, vector.z)));
 }
 
 fn moved(by: &Isometry3<f64>, pose: &Pose) -> Pose {
     let (p, q) = (&pose.position, &pose.orientation);
-    let rotation = UnitQuaternion::from_quaternion(Rotation::new(q.w, q.x, q.y, q.z));
-    let at = by * Isometry3::from_parts(Translation3::new(p.x, p.y, p.z), rotation);
-    let (t, r) = (at.translation, at.rotation);
-    Pose {
-        position: Point { x: t.x, y: t.y, z: t.z },
-        orientation: Quaternion { x: r.i, y: r.j, z: r.k, w: r.w },
-    }
+    let rotation = UnitQuaternion::from_quaternion(Quaternion::new(q.w, q.x, q.y, q.z));
+    convert::pose(&(by * Isometry3::from_parts(Translation3::new(p.x, p.y, p.z), rotation)))
 }
 
 /// Publishes `/joint_states`, and `body_truth` (`dermis_msgs/msg/Indentation` in the body frame, one for each truth of each skin), until
@@ -218,6 +213,8 @@ pub async fn simulate(
 
 #[cfg(test)]
 mod tests {
+    use dermis_body::Limits;
+
     use super::*;
 
     const URDF: &str = r#"<robot name="two"><link name="base"/><link name="arm"/><link name="hand"/>
@@ -258,22 +255,31 @@ mod tests {
     }
 
     #[test]
+    fn any_range_can_be_swung_through() {
+        let body = robot().body;
+        let mut joint = body.coordinates().next().unwrap().clone();
+        for k in 0..1000 {
+            let (lower, upper) = (-0.001 * f64::from(k) / 3.0, 0.7 + 0.01 * f64::from(k) / 7.0);
+            joint.limits = Some(Limits { lower, upper, velocity: 1.0, effort: 1.0 });
+            let swing = Swing::of(&joint, 0, 1.0);
+            assert!((swing.middle - (lower + upper) / 2.0).abs() < 1e-12, "{swing:?} of {lower} to {upper}");
+        }
+    }
+
+    #[test]
     fn a_truth_is_taken_to_the_body_by_the_joints_of_its_own_instant() {
         let robot = robot();
         let motion = Motion::new(&robot.body, 0.5);
         let stamp = 1_790_000_000_123_456_789;
         let contact = dermis_msgs::msg::IndentationContact {
-            position: Point { x: 0.01, y: 0.02, z: 0.03 },
-            normal: VectorMsg { x: 0.0, y: 0.0, z: 1.0 },
-            force: VectorMsg { x: 0.5, y: 0.0, z: -2.0 },
-            tip_pose: Pose {
-                position: Point { x: 0.01, y: 0.02, z: 0.03 },
-                orientation: Quaternion { x: 0.0, y: 0.0, z: 0.0, w: 1.0 },
-            },
+            position: convert::point(&Point3::new(0.01, 0.02, 0.03)),
+            normal: convert::vector(&Vector3::z()),
+            force: convert::vector(&Vector3::new(0.5, 0.0, -2.0)),
+            tip_pose: convert::pose(&Isometry3::translation(0.01, 0.02, 0.03)),
             ..Default::default()
         };
         let truth = Indentation {
-            header: Header { stamp: Time::from_nanos(stamp), frame_id: "palm_skin".into() },
+            header: Header::new(stamp, "palm_skin"),
             contacts: vec![contact],
             ..Indentation::default()
         };

@@ -2,15 +2,16 @@
 
 use dermis_msgs::builtin_interfaces::msg::Duration;
 use dermis_msgs::geometry_msgs::msg::{
-    Point, Quaternion, Transform, TransformStamped, Vector3 as VectorMsg, WrenchStamped,
+    Quaternion, Transform, TransformStamped, Vector3 as VectorMsg, WrenchStamped,
 };
 use dermis_msgs::msg::ContactArray;
 use dermis_msgs::sensor_msgs::msg::{PointCloud2, PointField};
 use dermis_msgs::std_msgs::msg::{ColorRGBA, Header};
 use dermis_msgs::tf2_msgs::msg::TFMessage;
 use dermis_msgs::visualization_msgs::msg::{Marker, MarkerArray};
+use dermis_skin::convert::{point, vector};
 use dermis_skin::{Contact, Estimate, ForceComponents, Frame, SkinDescription, Stamp, contact_array};
-use nalgebra::{Point3, Vector3};
+use nalgebra::Vector3;
 
 use dermis_estimate::{Quality, SkinEstimator};
 
@@ -79,8 +80,8 @@ pub fn wrench_message(skin: &SkinDescription, stamp: Stamp, contacts: &[Contact]
         torque += contact.position.coords.cross(&contact.force);
     }
     let mut message = WrenchStamped { header: skin.header(stamp), ..WrenchStamped::default() };
-    message.wrench.force = VectorMsg { x: force.x, y: force.y, z: force.z };
-    message.wrench.torque = VectorMsg { x: torque.x, y: torque.y, z: torque.z };
+    message.wrench.force = vector(&force);
+    message.wrench.torque = vector(&torque);
     Some(message)
 }
 
@@ -152,7 +153,6 @@ pub fn markers_in(
     degraded: bool,
     lifetime: f64,
 ) -> MarkerArray {
-    let point = |p: Point3<f64>| Point { x: p.x, y: p.y, z: p.z };
     let arrow = |contact: &Contact| {
         let magnitude = contact.force.norm();
         let direction = contact.force.try_normalize(1e-9).unwrap_or(-contact.normal);
@@ -177,7 +177,7 @@ pub fn markers_in(
                 a: contact.confidence.clamp(0.2, 1.0),
             },
             lifetime: Duration { sec: lifetime.trunc() as i32, nanosec: (lifetime.fract() * 1e9) as u32 },
-            points: vec![point(contact.position - direction * length), point(contact.position)],
+            points: vec![point(&(contact.position - direction * length)), point(&contact.position)],
             ..Marker::default()
         };
         marker.pose.orientation.w = 1.0;
@@ -234,6 +234,8 @@ pub fn no_markers_in(header: Header, namespace: &str) -> MarkerArray {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Point3;
+
     use super::*;
     use dermis_estimate::testing::{TestBundle, skin_with, tared_estimator};
     use dermis_skin::Estimator;

@@ -8,19 +8,33 @@ use dermis_msgs::geometry_msgs::msg::{Point, Pose, Quaternion, Vector3 as Vector
 use dermis_msgs::msg::{self, ContactArray, SkinGeometry, TaxelFrame};
 use dermis_msgs::sensor_msgs::msg::{CompressedImage, Image as ImageMsg};
 use dermis_msgs::std_msgs::msg::Header;
-use nalgebra::{Matrix3, Point3, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 
 use crate::{
     ChannelFlags, Contact, DisplacementMap, Estimate, ForceComponents, ForceMap, ForceValues, Frame, Image,
     PixelFormat, SensorKind, SkinDescription, Stamp, Surface,
 };
 
-fn point(p: &Point3<f64>) -> Point {
+/// A point as messages have it.
+#[must_use]
+pub fn point(p: &Point3<f64>) -> Point {
     Point { x: p.x, y: p.y, z: p.z }
 }
 
-fn vector(v: &Vector3<f64>) -> VectorMsg {
+/// A vector as messages have it.
+#[must_use]
+pub fn vector(v: &Vector3<f64>) -> VectorMsg {
     VectorMsg { x: v.x, y: v.y, z: v.z }
+}
+
+/// A pose as messages have it.
+#[must_use]
+pub fn pose(p: &Isometry3<f64>) -> Pose {
+    let q = &p.rotation;
+    Pose {
+        position: point(&p.translation.vector.into()),
+        orientation: Quaternion { x: q.i, y: q.j, z: q.k, w: q.w },
+    }
 }
 
 impl SkinDescription {
@@ -52,13 +66,7 @@ impl SkinDescription {
             taxel_poses: self
                 .taxels
                 .iter()
-                .map(|t| {
-                    let q = t.orientation();
-                    Pose {
-                        position: point(&t.point()),
-                        orientation: Quaternion { x: q.i, y: q.j, z: q.k, w: q.w },
-                    }
-                })
+                .map(|t| pose(&Isometry3::from_parts(t.point().into(), t.orientation())))
                 .collect(),
             layout_id: self.layout_id(),
             unit: self.unit.clone(),

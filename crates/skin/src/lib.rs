@@ -41,7 +41,7 @@
 mod assignment;
 pub mod cache;
 mod contact;
-mod convert;
+pub mod convert;
 mod description;
 mod effect;
 mod error;

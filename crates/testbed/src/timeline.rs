@@ -10,8 +10,9 @@
 use std::sync::Arc;
 
 use dermis_model::{ForwardModel, Indentation, Stimulus, Tip as ModelTip, TipShape};
-use dermis_msgs::geometry_msgs::msg::{Point, Quaternion, Vector3 as VectorMsg};
+use dermis_msgs::geometry_msgs::msg::{Quaternion, Vector3 as VectorMsg};
 use dermis_msgs::msg::{self, IndentationContact};
+use dermis_skin::convert::{point, vector};
 use dermis_skin::{Phase, SkinDescription, Stamp, Surface};
 use nalgebra::{Point3, Vector3};
 
@@ -68,7 +69,7 @@ impl GroundTruth {
         let contacts = self.stimulus.contacts.iter().zip(depths).map(|(c, depth)| {
             let (_, normal) = surface.project(&c.position);
             let sphere = IndentationContact::sphere(
-                Point { x: c.position.x, y: c.position.y, z: c.position.z },
+                point(&c.position),
                 vector(&normal),
                 vector(&c.force),
                 msg::Contact::FORCE_FULL,
@@ -108,10 +109,6 @@ fn with_tip(mut contact: IndentationContact, tip: &ModelTip) -> IndentationConta
     let q = tip.orientation.quaternion();
     contact.tip_pose.orientation = Quaternion { x: q.i, y: q.j, z: q.k, w: q.w };
     contact
-}
-
-fn vector(v: &Vector3<f64>) -> VectorMsg {
-    VectorMsg { x: v.x, y: v.y, z: v.z }
 }
 
 /// One contact of a press, on the surface.

@@ -2,17 +2,16 @@
 
 use dermis_body::{Robot, Wrench};
 use dermis_msgs::builtin_interfaces::msg::{Duration, Time};
-use dermis_msgs::geometry_msgs::msg::{
-    Point, Pose, Quaternion, TransformStamped, Vector3 as VectorMsg, Wrench as WrenchMsg, WrenchStamped,
-};
+use dermis_msgs::geometry_msgs::msg::{TransformStamped, Wrench as WrenchMsg, WrenchStamped};
 use dermis_msgs::msg::{BodyContact, BodyContacts, LinkWrench, SkinHealth};
 use dermis_msgs::sensor_msgs::msg::{JointState, PointCloud2};
 use dermis_msgs::std_msgs::msg::Header;
 use dermis_msgs::tf2_msgs::msg::TFMessage;
 use dermis_msgs::visualization_msgs::msg::MarkerArray;
 use dermis_perception::messages::{markers_in, points_in, transform_in};
+use dermis_skin::convert::{pose, vector};
 use dermis_skin::{Contact, Stamp};
-use nalgebra::{Isometry3, Matrix3, Vector3};
+use nalgebra::{Isometry3, Matrix3};
 
 use crate::cause::Cause;
 use crate::fuser::BodyState;
@@ -24,24 +23,12 @@ use crate::touch::{BodyTouch, LinkLoad};
 /// Namespace of the markers among those of a viewer.
 pub const MARKERS: &str = "body_contacts";
 
-fn vector(v: &Vector3<f64>) -> VectorMsg {
-    VectorMsg { x: v.x, y: v.y, z: v.z }
-}
-
 fn rows(m: &Matrix3<f64>) -> [f64; 9] {
     std::array::from_fn(|i| m[(i / 3, i % 3)])
 }
 
 fn wrench(w: &Wrench) -> WrenchMsg {
     WrenchMsg { force: vector(&w.force), torque: vector(&w.torque) }
-}
-
-fn pose(p: &Isometry3<f64>) -> Pose {
-    let (t, q) = (&p.translation, &p.rotation);
-    Pose {
-        position: Point { x: t.x, y: t.y, z: t.z },
-        orientation: Quaternion { x: q.i, y: q.j, z: q.k, w: q.w },
-    }
 }
 
 /// Header of messages in the body frame.
