@@ -51,6 +51,15 @@ pub fn kinds() -> &'static [Kind] {
 }
 
 fn all() -> Vec<Kind> {
+    let mut kinds = own();
+    kinds.extend(of_bodies());
+    kinds.extend(of_nodes());
+    kinds.extend(of_sensors_and_others());
+    kinds
+}
+
+/// Actions, times, and the messages of dermis.
+fn own() -> Vec<Kind> {
     vec![
         kind::<dermis_msgs::action_msgs::msg::GoalInfo>(),
         kind::<dermis_msgs::action_msgs::srv::CancelGoalRequest>(),
@@ -71,6 +80,12 @@ fn all() -> Vec<Kind> {
         kind::<dermis_msgs::msg::TaxelFrame>(),
         kind::<dermis_msgs::srv::LoadModelRequest>(),
         kind::<dermis_msgs::srv::LoadModelResponse>(),
+    ]
+}
+
+/// Diagnostics and geometry.
+fn of_bodies() -> Vec<Kind> {
+    vec![
         kind::<dermis_msgs::diagnostic_msgs::msg::DiagnosticArray>(),
         kind::<dermis_msgs::diagnostic_msgs::msg::DiagnosticStatus>(),
         kind::<dermis_msgs::diagnostic_msgs::msg::KeyValue>(),
@@ -88,6 +103,12 @@ fn all() -> Vec<Kind> {
         kind::<dermis_msgs::geometry_msgs::msg::Vector3Stamped>(),
         kind::<dermis_msgs::geometry_msgs::msg::Wrench>(),
         kind::<dermis_msgs::geometry_msgs::msg::WrenchStamped>(),
+    ]
+}
+
+/// Lifecycle and parameters.
+fn of_nodes() -> Vec<Kind> {
+    vec![
         kind::<dermis_msgs::lifecycle_msgs::msg::State>(),
         kind::<dermis_msgs::lifecycle_msgs::msg::Transition>(),
         kind::<dermis_msgs::lifecycle_msgs::msg::TransitionDescription>(),
@@ -122,6 +143,12 @@ fn all() -> Vec<Kind> {
         kind::<dermis_msgs::rcl_interfaces::srv::SetParametersAtomicallyResponse>(),
         kind::<dermis_msgs::rcl_interfaces::srv::SetParametersRequest>(),
         kind::<dermis_msgs::rcl_interfaces::srv::SetParametersResponse>(),
+    ]
+}
+
+/// Time, sensors, plain values, transforms and markers.
+fn of_sensors_and_others() -> Vec<Kind> {
+    vec![
         kind::<dermis_msgs::rosgraph_msgs::msg::Clock>(),
         kind::<dermis_msgs::sensor_msgs::msg::CameraInfo>(),
         kind::<dermis_msgs::sensor_msgs::msg::CompressedImage>(),

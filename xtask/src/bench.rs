@@ -7,8 +7,9 @@ use anyhow::Result;
 use clap::{Args, ValueEnum};
 
 use crate::environment;
-use crate::run::{cargo, run as execute, target_dir};
-use crate::test::{ROS_IN_PROGRAM, WITH_ROS, build_aside};
+use crate::programs;
+use crate::run::{cargo, run as execute};
+use crate::test::{ROS_IN_PROGRAM, build_aside};
 
 /// What can be measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -77,12 +78,7 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
     };
     let clients = environment::clients(root)?;
     let ros = environment::ros(root)?;
-    let build = |selection: &[&str]| {
-        let mut c = cargo(root);
-        execute(c.args(["build", "--release", "--bins"]).args(selection).envs(ros.variables()))
-    };
-    build(&WITH_ROS)?;
-    let programs = target_dir(root).join("release");
+    let programs = programs::built(root, &PROGRAMS)?;
     let results = root.join("benches/results");
     for name in names {
         let value = name.to_possible_value();

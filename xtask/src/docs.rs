@@ -5,7 +5,7 @@
 
 mod figures;
 mod links;
-mod tables;
+pub mod tables;
 
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -66,6 +66,14 @@ struct Dependency {
 /// Words that only a crate under nodes/ may use for itself: the names of the sensor families. `HapDefX`, a published method, is another word.
 const FAMILIES: [&str; 4] = ["hapdef", "barodome", "insight", "ert"];
 
+/// Names of the sensor families that exist for a test, of their wire and of their package (`integration-tests/toys`). They show that a
+/// family needs nothing under crates/, so that nothing there may know them.
+const TOYS: [&str; 4] = ["toy-foam", "toy-camera", "toy-picture", "dermis-toys"];
+
+/// What is said of a name of [`FAMILIES`], and of one of [`TOYS`].
+const FAMILY: &str = "a sensor family";
+const TOY: &str = "a sensor family of the tests";
+
 /// What makes the check of the diagnosis honest: the diagnosis never sees the benchmark that it is checked by.
 const TOOL: &str = "dermis-gap";
 const BENCHMARK: &str = "dermis-gap-benchmark";
@@ -135,11 +143,13 @@ pub fn violations(metadata: &str) -> Result<Vec<String>> {
     Ok(found)
 }
 
-/// Fails with every import that runs the wrong way, and where a file under crates/ names a sensor family.
+/// Fails with every import that runs the wrong way, and where a file under crates/ names a sensor family, or one of the tests.
 pub fn check(root: &Path) -> Result<()> {
     let metadata = output(cargo(root).args(["metadata", "--format-version", "1", "--no-deps", "--offline"]))?;
     let mut found = violations(&metadata)?;
-    found.extend(named_families(&root.join("crates"))?);
+    let crates = root.join("crates");
+    found.extend(named(&crates, FAMILY, names_family)?);
+    found.extend(named(&crates, TOY, names_toy)?);
     if found.is_empty() {
         println!("imports run one way");
         return Ok(());
@@ -154,24 +164,36 @@ fn names_family(text: &str) -> bool {
     words.any(|word| FAMILIES.iter().any(|family| word.eq_ignore_ascii_case(family)))
 }
 
-/// Files and lines of a folder that name a sensor family: sources, manifests, tables and texts, but nothing that is not text.
-fn named_families(folder: &Path) -> Result<Vec<String>> {
+/// Whether a text names what `integration-tests/toys` holds.
+fn names_toy(text: &str) -> bool {
+    TOYS.iter().any(|name| has_name(text, name))
+}
+
+/// Whether a name stands in a text, as a string or in an identifier: of `toy-foam` so do `toy_foam`, `TOY_FOAM` and `ToyFoamModel`, but not
+/// the words "toy" and "foam" by themselves.
+fn has_name(text: &str, name: &str) -> bool {
+    let joined = |text: &str| text.replace(['-', '_'], "").to_ascii_lowercase();
+    joined(text).contains(&joined(name))
+}
+
+/// Files and lines of a folder that name `what`: sources, manifests, tables and texts, but nothing that is not text.
+fn named(folder: &Path, what: &str, names: impl Fn(&str) -> bool) -> Result<Vec<String>> {
     let mut found = Vec::new();
     let mut folders = vec![folder.to_owned()];
     while let Some(folder) = folders.pop() {
         for entry in std::fs::read_dir(&folder)? {
             let entry = entry?;
             let path = entry.path();
-            if names_family(&entry.file_name().to_string_lossy()) {
-                found.push(format!("{}: is named after a sensor family", path.display()));
+            if names(&entry.file_name().to_string_lossy()) {
+                found.push(format!("{}: is named after {what}", path.display()));
             }
             if path.is_dir() {
                 folders.push(path);
                 continue;
             }
             let Ok(text) = String::from_utf8(std::fs::read(&path)?) else { continue };
-            for (number, _) in text.lines().enumerate().filter(|(_, line)| names_family(line)) {
-                found.push(format!("{}:{}: names a sensor family", path.display(), number + 1));
+            for (number, _) in text.lines().enumerate().filter(|(_, line)| names(line)) {
+                found.push(format!("{}:{}: names {what}", path.display(), number + 1));
             }
         }
     }
@@ -259,7 +281,7 @@ mod tests {
         write("c.md", b"A limb of HapDef, and `insight_thumb`.\n");
         write("d.bin", b"\xff ert");
         std::fs::create_dir(dir.path().join("hapdef")).unwrap();
-        let found = named_families(dir.path()).unwrap();
+        let found = named(dir.path(), FAMILY, names_family).unwrap();
         let prefix = format!("{}/", dir.path().display());
         let found: Vec<&str> = found.iter().map(|line| line.strip_prefix(&prefix).unwrap()).collect();
         assert_eq!(
@@ -272,6 +294,42 @@ mod tests {
                 "hapdef: is named after a sensor family",
             ]
         );
+    }
+
+    #[test]
+    fn no_crate_names_a_family_of_the_tests() {
+        let root = crate::run::root().unwrap();
+        assert_eq!(named(&root.join("crates"), TOY, names_toy).unwrap(), Vec::<String>::new());
+        // The families' own folder names all of them, so that the search above can find what it looks for.
+        let toys = root.join("integration-tests/toys");
+        for name in TOYS {
+            let found = named(&toys, TOY, |text| has_name(text, name)).unwrap();
+            assert!(!found.is_empty(), "{name} is not in {}", toys.display());
+        }
+        // Another family of the tests is not forgotten above.
+        let mut skins = 0;
+        for file in std::fs::read_dir(toys.join("skins")).unwrap() {
+            let text = std::fs::read_to_string(file.unwrap().path()).unwrap();
+            let skin: toml::Table = toml::from_str(&text).unwrap();
+            assert!(TOYS.contains(&skin["sensor"].as_str().unwrap()), "{text}");
+            skins += 1;
+        }
+        assert_eq!(skins, 2);
+    }
+
+    #[test]
+    fn a_family_of_the_tests_is_found_in_strings_and_identifiers() {
+        for text in [
+            "sensor = \"toy-foam\"",
+            "use dermis_toys::SENSORS;",
+            "struct ToyCameraModel;",
+            "TOY_PICTURE => 1",
+        ] {
+            assert!(names_toy(text), "{text}");
+        }
+        for text in ["a toy of foam, and a camera", "fn toy(skin: &Skin)", "let toy = camera();", "no toys"] {
+            assert!(!names_toy(text), "{text}");
+        }
     }
 
     #[test]

@@ -6,19 +6,15 @@ use anyhow::Result;
 
 use crate::environment;
 use crate::run::{cargo, run, target_dir};
-use crate::test::{WITH_ROS, WITHOUT_ROS};
+use crate::test::{WITH_ROS, select};
 
 /// Builds programs with the features that the tests have, and says where they are: with others, all that they depend on would be built
 /// once more.
 pub fn built(root: &Path, names: &[&str]) -> Result<PathBuf> {
     let mut build = cargo(root);
     build.args(["build", "--release"]).args(names.iter().flat_map(|name| ["--bin", name]));
-    // Where ROS 2 is set up, the tests are built with it.
-    if environment::has_ros(root) {
-        build.args(WITH_ROS).envs(environment::ros(root)?.variables());
-    } else {
-        build.args(WITHOUT_ROS);
-    }
+    let ros = environment::has_ros(root).then(|| environment::ros(root)).transpose()?;
+    select(&mut build, WITH_ROS, ros.as_ref());
     run(&mut build)?;
     Ok(target_dir(root).join("release"))
 }

@@ -7,6 +7,7 @@ use anyhow::{Context, Result, bail};
 use clap::Args;
 use serde::Deserialize;
 
+use crate::docs::tables::Sources;
 use crate::run::output;
 
 /// Which figures, and how to report.
@@ -87,18 +88,14 @@ const ROUNDED: f64 = 0.02;
 
 /// What is not true of `targets.toml`, one sentence each: a value that is not that of its record, a missed bound without a reason.
 pub fn untrue(root: &Path) -> Result<Vec<String>> {
-    let mut wrong = Vec::new();
+    let (mut wrong, records) = (Vec::new(), Sources::new(root)?);
     for target in &File::read(root)?.target {
         let Target { name, bound, pointer, value: Some(value), note, .. } = target else { continue };
         if !keeps(bound, *value)? && !note.as_ref().is_some_and(|note| note.contains("missed")) {
             wrong.push(format!("targets.toml: `{name}` misses its bound; say so in its note, and why"));
         }
         let Some(record) = &target.record else { continue };
-        let path = root.join("benches/results").join(format!("{record}.json"));
-        let text = std::fs::read(&path)
-            .with_context(|| format!("{} cannot be read, the record of `{name}`", path.display()))?;
-        let recorded: serde_json::Value =
-            serde_json::from_slice(&text).with_context(|| format!("{} is no JSON", path.display()))?;
+        let recorded = records.file(record).with_context(|| format!("the record of target `{name}`"))?;
         match recorded.pointer(pointer).and_then(serde_json::Value::as_f64) {
             Some(found) if (found - value).abs() <= ROUNDED * found.abs() => {}
             found => wrong.push(format!(

@@ -8,9 +8,9 @@ use anyhow::Result;
 use clap::Args;
 
 use crate::advisories;
-use crate::environment;
+use crate::environment::{self, Ros};
 use crate::lints;
-use crate::run::{cargo, run as execute, step, target_dir};
+use crate::run::{cargo, output, run as execute, step, target_dir};
 
 /// What to leave out.
 #[derive(Args)]
@@ -24,12 +24,13 @@ pub struct Options {
     /// Also the tests that need minutes and the machine to themselves: the long run, and the listener that hangs.
     #[arg(long)]
     nightly: bool,
-    /// Only tests whose name contains this.
+    /// Only tests whose name contains this; without formatting, lints and licences, and with ROS 2 in the program only where one of its
+    /// tests is among them.
     filter: Option<String>,
 }
 
 /// Everything but the crate that needs ROS 2 headers.
-pub const WITHOUT_ROS: [&str; 3] =
+const WITHOUT_ROS: [&str; 3] =
     ["--workspace", "--exclude=dermis-node-r2r", "--features=dermis-learn/train,dermis-node/test-suite"];
 
 /// Everything; the program still without ROS 2, as it ships.
@@ -51,11 +52,21 @@ const LINTED: [&str; 3] = ["build", "--release", "--all-targets"];
 /// What the tests with ROS 2 need: nothing else is linked once more.
 const BUILD_ROS: [&str; 5] = ["build", "--release", "--bin=dermis", "--bin=dermis-train", "--test=ros2"];
 
+/// Adds the selection where ROS 2 is set up, with its environment, and [`WITHOUT_ROS`] where it is not.
+pub fn select(command: &mut Command, selection: [&str; 2], ros: Option<&Ros>) {
+    match ros {
+        Some(ros) => command.args(selection).envs(ros.variables()),
+        None => command.args(WITHOUT_ROS),
+    };
+}
+
 pub fn run(root: &Path, options: &Options) -> Result<()> {
     let mut skipped = Vec::new();
+    let lint = !options.no_lint && options.filter.is_none();
     if options.no_lint {
         skipped.push("formatting, lints and licences (--no-lint)".to_owned());
-    } else {
+    }
+    if lint {
         step("formatting", || execute(cargo(root).args(["fmt", "--all", "--check"])))?;
     }
     step("test runner", || environment::subcommand(root, "nextest", "0.9.143"))?;
@@ -66,7 +77,7 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
     skipped.extend(step("CalculiX", || Ok(environment::calculix()))?);
     skipped.extend(step("Chromium", || Ok(environment::chromium()))?);
     let clients = step("Python clients", || environment::clients(root))?;
-    if !options.no_lint {
+    if lint {
         step("licences and sources", || {
             advisories::tool(root)?;
             // Crates of every platform: cargo builds with those of this one only, and has no others.
@@ -85,17 +96,14 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
     let on = |selection: [&'static str; 2], arguments: &[&str]| {
         let mut c = cargo(root);
         c.args(arguments);
-        match &ros {
-            Some(ros) => c.args(selection).envs(ros.variables()),
-            None => c.args(WITHOUT_ROS),
-        };
+        select(&mut c, selection, ros.as_ref());
         c
     };
     let everything = |arguments: &[&str]| on(WITH_ROS, arguments);
     let with_ros_in_program = |arguments: &[&str]| on(ROS_IN_PROGRAM, arguments);
     // Release, because that is what ships, and training in it takes seconds.
     step("build", || execute(&mut everything(&BUILD)))?;
-    if !options.no_lint {
+    if lint {
         step("lints", || lints::run(&target_dir(root), &mut with_ros_in_program(&LINTED)))?;
     }
     let data =
@@ -120,12 +128,24 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
         skipped.push("the long run and the listener that hangs (--nightly)".to_owned());
         "--profile=default"
     };
+    if options.nightly {
+        // A workspace of its own, with parts of crates by the paths of their files.
+        let manifest = "--manifest-path=fuzz/Cargo.toml";
+        step("fuzz targets compile", || execute(cargo(root).args(["check", "--workspace", manifest])))?;
+    }
     let tests = ["nextest", "run", "--release", profile];
     step("tests", || nextest(everything(&tests), &release, "not binary(ros2)"))?;
     if options.filter.is_none() {
         step("documentation tests", || execute(&mut everything(&["test", "--release", "--doc", "--quiet"])))?;
     }
-    if ros.is_some() {
+    // The list is of the build above: a program for tests that the filter leaves out is not built.
+    let any_with_ros = || -> Result<bool> {
+        let Some(filter) = &options.filter else { return Ok(true) };
+        let mut list =
+            everything(&["nextest", "list", "--release", "--list-type=full", "--message-format=oneline"]);
+        Ok(!output(list.args(["-E", "binary(ros2)", filter]))?.trim().is_empty())
+    };
+    if ros.is_some() && any_with_ros()? {
         let programs = step("build with ROS 2", || {
             build_aside(&release, &["dermis", "dermis-train"], || {
                 execute(&mut with_ros_in_program(&BUILD_ROS))

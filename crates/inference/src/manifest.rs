@@ -16,6 +16,8 @@ use crate::peaks::{MAP_DISPLACEMENT, PeakSection};
 
 pub use error::ManifestError;
 
+// Named by its path because the fuzz workspace includes this file alone.
+#[path = "manifest/error.rs"]
 mod error;
 
 const SCHEMA_STEM: &str = "dermis-bundle/";

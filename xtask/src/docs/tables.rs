@@ -60,7 +60,8 @@ impl Sources {
         self.folder.join(format!("{name}.json"))
     }
 
-    fn file(&self, name: &str) -> Result<Rc<Value>> {
+    /// What was measured last, of a file in `benches/results/` without `.json`; `targets` are the targets by their names.
+    pub fn file(&self, name: &str) -> Result<Rc<Value>> {
         if let Some(value) = self.read.borrow().get(name) {
             return Ok(value.clone());
         }
@@ -152,7 +153,8 @@ impl Sources {
 
     /// The targets whose names begin with one of `names`.
     fn list(&self, names: &[&str]) -> Result<String> {
-        let mut out = String::from("| what | asked | measured | command | commit |\n|---|---|---|---|---|\n");
+        let mut out =
+            String::from("| what | target | measured | command | commit |\n|---|---|---|---|---|\n");
         let chosen = |target: &&Value| {
             let name = target["name"].as_str().unwrap_or_default();
             names.iter().any(|start| *start == "all" || name.starts_with(start))

@@ -9,6 +9,8 @@
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
@@ -68,6 +70,13 @@ pub struct Sizes {
     /// Tables that are measured; the record keeps what it has of the others.
     #[arg(long, value_delimiter = ',', default_values_t = [TableName::Transfer, TableName::Maps])]
     tables: Vec<TableName>,
+    /// Bags that are collected, and networks of Table 4.3 that are trained, at once.
+    #[arg(long, default_value_t = 1)]
+    jobs: usize,
+    /// What the networks of Table 4.5 are trained on, as `dermis train` has it: `gpu` in programs that were built for it. The record
+    /// says which.
+    #[arg(long, default_value = "cpu")]
+    processor: String,
 }
 
 /// A table that networks are trained for.
@@ -100,8 +109,8 @@ struct Work<'a> {
 
 /// Measures, and writes the result beside the others.
 pub(super) fn tables(root: &Path, sizes: &Sizes) -> Result<Value> {
-    if !(sizes.share > 0.0 && sizes.share <= 1.0) || sizes.epochs == 0 {
-        bail!("--share is above 0 and up to 1, and --epochs at least 1");
+    if !(sizes.share > 0.0 && sizes.share <= 1.0) || sizes.epochs == 0 || sizes.jobs == 0 {
+        bail!("--share is above 0 and up to 1, and --epochs and --jobs at least 1");
     }
     if let Some(bad) = sizes.maps.iter().find(|map| !(1..=MAPS.len()).contains(*map)) {
         bail!("--maps: there is no map {bad}, but 1 to {}", MAPS.len());
@@ -112,12 +121,12 @@ pub(super) fn tables(root: &Path, sizes: &Sizes) -> Result<Value> {
         }
     }
     let dermis = programs::dermis(root)?;
-    let Sizes { share, epochs, .. } = sizes;
+    let Sizes { share, epochs, processor, .. } = sizes;
     // What was done of the same size and the same files is not done again; of another commit the measuring code may differ.
     let plans = PLANS.map(|name| plan_file(Path::new(""), name));
     let files: Vec<PathBuf> =
         [SKIN, EFFECTS, THESIS, TRANSFER].map(PathBuf::from).into_iter().chain(plans).collect();
-    let made_of = fingerprint(root, &files, (commit(root)?, share.to_bits(), epochs))?;
+    let made_of = fingerprint(root, &files, (commit(root)?, share.to_bits(), epochs, processor))?;
     let dir = root.join(format!(".dermis/measure/ert-tables/{made_of:016x}"));
     std::fs::create_dir_all(&dir)?;
     let work = Work { root, dermis, dir, sizes };
@@ -164,6 +173,7 @@ fn reduced(root: &Path, sizes: &Sizes) -> Result<Value> {
         "places_of_each_number": { "here": locations, "thesis": THESIS_LOCATIONS },
         "random_presses": { "here": random, "thesis": THESIS_RANDOM },
         "epochs": { "here": sizes.epochs, "thesis": THESIS_EPOCHS },
+        "processor": sizes.processor,
         "maps": if sizes.maps.is_empty() { (1..=MAPS.len()).collect() } else { sizes.maps.clone() },
         "real_device": "the simulated panel with the default effects of its family",
     }))
@@ -197,12 +207,15 @@ fn scaled(plan: &Table, kind: &str, number: Option<i64>, share: f64) -> (Table, 
 impl Work<'_> {
     /// The command that measures a table in this size.
     fn command(&self, table: TableName) -> String {
-        let Sizes { share, epochs, maps, .. } = self.sizes;
+        let Sizes { share, epochs, maps, processor, .. } = self.sizes;
         let mut text =
             format!("cargo xtask measure ert-tables --tables {table} --share {share} --epochs {epochs}");
         if table == TableName::Maps && !maps.is_empty() {
             let maps: Vec<String> = maps.iter().map(usize::to_string).collect();
             text += &format!(" --maps {}", maps.join(","));
+        }
+        if table == TableName::Maps && processor != "cpu" {
+            text += &format!(" --processor {processor}");
         }
         text
     }
@@ -236,6 +249,11 @@ impl Work<'_> {
         Ok(bag)
     }
 
+    /// Bags of scaled plans of the device or of its model, so many at once as there are jobs.
+    fn bags(&self, plans: &[(&str, Option<i64>)], real: bool) -> Result<Vec<PathBuf>> {
+        at_once(self.sizes.jobs, plans, |(plan, number)| self.bag(plan, *number, real))
+    }
+
     /// Trains by a configuration; what `train --json` says.
     fn train(&self, name: &str, config: &Table, bags: &[PathBuf], tests: &[PathBuf]) -> Result<Value> {
         let file = self.dir.join(format!("{name}-train.toml"));
@@ -244,6 +262,9 @@ impl Work<'_> {
         train.arg("train").args(["--skin", SKIN, "--json", "--config"]).arg(&file);
         train.arg("--out").arg(self.dir.join(name)).args(["--epochs", &self.sizes.epochs.to_string()]);
         train.arg("--resume");
+        if config["network"].get("image").is_some() {
+            train.args(["--processor", &self.sizes.processor]);
+        }
         for test in tests {
             train.arg("--test").arg(test);
         }
@@ -253,15 +274,15 @@ impl Work<'_> {
     /// Table 4.3: transfer networks of one number of contacts to all six, each on every number.
     fn transfer(&self) -> Result<Value> {
         let config = read_toml(&self.root.join(TRANSFER))?;
-        let of =
-            |plan: &str| -> Result<Vec<PathBuf>> { (1..=6).map(|n| self.bag(plan, Some(n), true)).collect() };
-        let (trains, tests) = (of("hex-train")?, of("hex-evaluate")?);
-        let mut rows = Vec::new();
-        for up_to in 1..=6 {
+        let of = |plan| (1..=6).map(move |n| (plan, Some(n)));
+        let bags = self.bags(&of("hex-train").chain(of("hex-evaluate")).collect::<Vec<_>>(), true)?;
+        let (trains, tests) = bags.split_at(6);
+        // What learns from most takes longest: it begins first.
+        let mut rows = at_once(self.sizes.jobs, &[6, 5, 4, 3, 2, 1], |&up_to| {
             let name = format!("transfer-up-to-{up_to}");
-            let measured = || self.transferred(&name, &config, &trains[..up_to], &tests);
-            rows.push(self.row(&name, measured)?);
-        }
+            self.row(&name, || self.transferred(&name, &config, &trains[..up_to], tests))
+        })?;
+        rows.reverse();
         Ok(Value::Array(rows))
     }
 
@@ -303,8 +324,10 @@ impl Work<'_> {
     /// Table 4.5: reconstruction on the simulated device, at locations that training has not seen.
     fn maps(&self) -> Result<Value> {
         let thesis = read_toml(&self.root.join(THESIS))?;
-        let bags = [self.bag("random-train", None, false)?, self.bag("hex-train", None, false)?];
-        let test = self.bag("hex-evaluate", None, false)?;
+        let plans = PLANS.map(|plan| (plan, None));
+        let all = self.bags(&plans, false)?;
+        let [hex, test, random] = <[PathBuf; 3]>::try_from(all).expect("a bag for each plan");
+        let bags = [random, hex];
         let mut rows = Vec::new();
         for (index, map) in MAPS.into_iter().enumerate() {
             let number = index + 1;
@@ -332,6 +355,33 @@ impl Work<'_> {
         }
         Ok(Value::Array(rows))
     }
+}
+
+/// What `work` makes of each item, in their order, of so many at once as `jobs` says; the first error where there are any.
+fn at_once<T: Sync, R: Send>(
+    jobs: usize,
+    items: &[T],
+    work: impl Fn(&T) -> Result<R> + Sync,
+) -> Result<Vec<R>> {
+    let (next, done) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
+    std::thread::scope(|scope| {
+        for _ in 0..jobs.clamp(1, items.len().max(1)) {
+            scope.spawn(|| {
+                loop {
+                    let index = next.fetch_add(1, Ordering::Relaxed);
+                    let Some(item) = items.get(index) else { break };
+                    let result = work(item);
+                    if result.is_err() {
+                        next.store(items.len(), Ordering::Relaxed);
+                    }
+                    done.lock().unwrap_or_else(PoisonError::into_inner).push((index, result));
+                }
+            });
+        }
+    });
+    let mut done = done.into_inner().unwrap_or_else(PoisonError::into_inner);
+    done.sort_by_key(|(index, _)| *index);
+    done.into_iter().map(|(_, result)| result).collect()
 }
 
 /// The thesis' configuration for another map.
@@ -405,7 +455,14 @@ mod tests {
     }
 
     fn sizes(share: f64, epochs: u32, maps: &[usize]) -> Sizes {
-        Sizes { share, epochs, maps: maps.to_vec(), tables: vec![TableName::Transfer, TableName::Maps] }
+        Sizes {
+            share,
+            epochs,
+            maps: maps.to_vec(),
+            tables: vec![TableName::Transfer, TableName::Maps],
+            jobs: 1,
+            processor: "cpu".into(),
+        }
     }
 
     #[test]
@@ -457,6 +514,17 @@ mod tests {
         let record = reduced(&root(), &sizes(0.1, 5, &[])).unwrap();
         assert_eq!(record["places_of_each_number"], json!({ "here": 30, "thesis": 3000 }));
         assert_eq!(record["random_presses"], json!({ "here": 800, "thesis": 200_000 }));
+    }
+
+    #[test]
+    fn work_at_once_keeps_its_order_and_its_first_error() {
+        let items: Vec<u32> = (0..20).collect();
+        for jobs in [0, 1, 3, 50] {
+            assert_eq!(at_once(jobs, &items, |n| Ok(n * n)).unwrap()[7], 49);
+            let refused = at_once(jobs, &items, |n| if *n == 5 { bail!("five") } else { Ok(*n) });
+            assert_eq!(refused.unwrap_err().to_string(), "five");
+        }
+        assert!(at_once(2, &[], |_: &u32| Ok(())).unwrap().is_empty());
     }
 
     #[test]

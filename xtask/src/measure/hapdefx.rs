@@ -23,6 +23,9 @@ pub struct Options {
     /// says which there were.
     #[arg(long, value_delimiter = ',', conflicts_with = "reduced")]
     sensors: Vec<usize>,
+    /// Networks that are trained at once.
+    #[arg(long, default_value_t = 2)]
+    jobs: usize,
 }
 
 /// The record that the tables are made from.
@@ -54,6 +57,7 @@ pub(super) fn run(root: &Path, options: &Options) -> Result<Value> {
     let states = root.join(".dermis/measure/hapdefx");
     let mut measure = Command::new(&dermis);
     measure.args(["real2sim", "thesis", "--skin", LIMB, "--settings", SETTINGS, "--json"]);
+    measure.args(["--jobs", &options.jobs.to_string()]);
     if options.reduced {
         measure.arg("--reduced");
     }

@@ -71,6 +71,11 @@ fn needed(steps: Vec<Step>, outputs: &[Range<usize>]) -> Vec<Step> {
     kept
 }
 
+/// The name of an input, where there is one.
+fn input(node: &GraphNode, at: usize) -> Option<&str> {
+    node.inputs.get(at).map(String::as_str).filter(|name| !name.is_empty())
+}
+
 impl<'a> Translation<'a> {
     /// Room for so many numbers at the end of the buffer.
     fn room(&mut self, length: usize) -> Option<Range<usize>> {
@@ -110,7 +115,7 @@ impl<'a> Translation<'a> {
 
     fn node(&mut self, node: &'a GraphNode) -> Option<()> {
         let [output] = node.outputs.as_slice() else { return None };
-        let input = |at: usize| node.inputs.get(at).map(String::as_str).filter(|name| !name.is_empty());
+        let input = |at: usize| input(node, at);
         let result = match node.operator.as_str() {
             "Add" => self.binary(Binary::Add, input(0)?, input(1)?)?,
             "Sub" => self.binary(Binary::Sub, input(0)?, input(1)?)?,
@@ -142,40 +147,8 @@ impl<'a> Translation<'a> {
                 self.steps.push(Step::Sum { from, to: to.start });
                 Known::Row(to)
             }
-            "Concat" => {
-                matches!(node.integer("axis")?, 1 | -1).then_some(())?;
-                let parts = node.inputs.iter().map(|name| self.row(name)).collect::<Option<Vec<_>>>()?;
-                let length = parts.iter().try_fold(0_usize, |sum, part| sum.checked_add(part.len()))?;
-                let to = self.room(length)?;
-                let mut at = to.start;
-                for from in parts {
-                    let end = at + from.len();
-                    self.steps.push(Step::Copy { from, to: at..end });
-                    at = end;
-                }
-                Known::Row(to)
-            }
-            "Slice" => {
-                let one = |name: Option<&str>, otherwise: i64| match name {
-                    Some(name) => match self.whole_numbers(name)? {
-                        [one] => Some(*one),
-                        _ => None,
-                    },
-                    None => Some(otherwise),
-                };
-                let (start, end) = (one(input(1), 0)?, one(input(2), 0)?);
-                (matches!(one(input(3), 0)?, 1 | -1) && one(input(4), 1)? == 1).then_some(())?;
-                let from = self.row(input(0)?)?;
-                let within = |at: i64| {
-                    let length = i64::try_from(from.len()).ok()?;
-                    let at = if at < 0 { at.saturating_add(length) } else { at };
-                    usize::try_from(at.clamp(0, length)).ok()
-                };
-                let (start, end) = (within(start)?, within(end)?);
-                (start < end).then_some(())?;
-                // A part of a row lies where the row does.
-                Known::Row(from.start + start..from.start + end)
-            }
+            "Concat" => self.concatenation(node)?,
+            "Slice" => self.slice(node)?,
             "Identity" => match self.known.get(input(0)?)?.clone() {
                 Known::Constant(_) => Known::Row(self.row(input(0)?)?),
                 same => same,
@@ -188,6 +161,45 @@ impl<'a> Translation<'a> {
         };
         self.known.insert(output, result);
         Some(())
+    }
+
+    /// Rows one behind the other.
+    fn concatenation(&mut self, node: &'a GraphNode) -> Option<Known<'a>> {
+        matches!(node.integer("axis")?, 1 | -1).then_some(())?;
+        let parts = node.inputs.iter().map(|name| self.row(name)).collect::<Option<Vec<_>>>()?;
+        let length = parts.iter().try_fold(0_usize, |sum, part| sum.checked_add(part.len()))?;
+        let to = self.room(length)?;
+        let mut at = to.start;
+        for from in parts {
+            let end = at + from.len();
+            self.steps.push(Step::Copy { from, to: at..end });
+            at = end;
+        }
+        Some(Known::Row(to))
+    }
+
+    /// A part of a row.
+    fn slice(&mut self, node: &'a GraphNode) -> Option<Known<'a>> {
+        let input = |at: usize| input(node, at);
+        let one = |name: Option<&str>, otherwise: i64| match name {
+            Some(name) => match self.whole_numbers(name)? {
+                [one] => Some(*one),
+                _ => None,
+            },
+            None => Some(otherwise),
+        };
+        let (start, end) = (one(input(1), 0)?, one(input(2), 0)?);
+        (matches!(one(input(3), 0)?, 1 | -1) && one(input(4), 1)? == 1).then_some(())?;
+        let from = self.row(input(0)?)?;
+        let within = |at: i64| {
+            let length = i64::try_from(from.len()).ok()?;
+            let at = if at < 0 { at.saturating_add(length) } else { at };
+            usize::try_from(at.clamp(0, length)).ok()
+        };
+        let (start, end) = (within(start)?, within(end)?);
+        (start < end).then_some(())?;
+        // A part of a row lies where the row does.
+        Some(Known::Row(from.start + start..from.start + end))
     }
 
     fn binary(&mut self, how: Binary, a: &'a str, b: &'a str) -> Option<Known<'a>> {

@@ -6,6 +6,8 @@
 mod correction;
 #[path = "../../../../crates/inference/src/features.rs"]
 mod features;
+#[path = "../../../../crates/inference/src/force_peaks/section.rs"]
+mod force_peaks;
 #[path = "../../../../crates/inference/src/interface.rs"]
 mod interface;
 #[path = "../../../../crates/inference/src/limits.rs"]
