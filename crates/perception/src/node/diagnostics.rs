@@ -30,9 +30,10 @@ impl Shared {
         estimation(&mut status, &core);
         status.value("runtime", self.runtime.report());
         status.value("source", &self.url);
-        let Figures { frames_total, dropped_total, .. } = core.figures;
+        let Figures { frames_total, dropped_total, unheard_total, .. } = core.figures;
         core.refused = refused;
-        core.figures = Figures { frames_total, dropped_total, since: Some(now), ..Figures::default() };
+        let since = Some(now);
+        core.figures = Figures { frames_total, dropped_total, unheard_total, since, ..Figures::default() };
         status
     }
 
@@ -72,7 +73,7 @@ impl Shared {
                 );
             }
         }
-        let estimated = figures.frames - figures.dropped;
+        let estimated = figures.frames - figures.dropped - figures.unheard;
         if estimated > 0 {
             let mean = |sum: i64| sum as f64 / estimated as f64 * 1e-6;
             status.value("latency mean [ms]", format!("{:.3}", mean(figures.latency_sum)));
@@ -95,6 +96,7 @@ impl Shared {
         }
         status.value("frames", figures.frames_total);
         status.value("frames dropped", figures.dropped_total);
+        status.value("frames nobody listened to", figures.unheard_total);
     }
 
     /// Names of the channels with each flag.

@@ -80,6 +80,17 @@ impl Publishers {
         Ok(())
     }
 
+    /// Whether somebody listens to anything that is estimated.
+    pub(super) fn heard(&self) -> bool {
+        let Maps { force, displacement } = self.wanted();
+        self.contacts.subscriber_count() > 0
+            || self.wrench.subscriber_count() > 0
+            || self.points.subscriber_count() > 0
+            || self.markers.subscriber_count() > 0
+            || force
+            || displacement
+    }
+
     /// Maps that somebody listens to.
     pub(super) fn wanted(&self) -> Maps {
         Maps {

@@ -60,6 +60,8 @@ pub(super) struct Core {
     /// Of the latest frame.
     pub(super) sequence: u64,
     pub(super) figures: Figures,
+    /// When contacts were estimated the last time.
+    pub(super) estimated: Option<Instant>,
     /// Since the node was active for the first time.
     pub(super) source: Option<SourceWatch>,
     /// Datagrams and connections of other senders that had been refused at the last diagnosis.
@@ -86,6 +88,9 @@ pub(super) struct Figures {
     /// Frames whose contacts were not estimated, because a newer one was there.
     pub(super) dropped: u64,
     pub(super) dropped_total: u64,
+    /// Frames whose contacts were not estimated, because nobody listened.
+    pub(super) unheard: u64,
+    pub(super) unheard_total: u64,
     /// When the last diagnosis was made.
     pub(super) since: Option<Instant>,
 }
@@ -135,6 +140,7 @@ impl Shared {
                 loading,
                 sequence: 0,
                 figures: Figures::default(),
+                estimated: None,
                 source: None,
                 refused: 0,
                 blind: None,

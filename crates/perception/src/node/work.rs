@@ -4,7 +4,8 @@
 //! and publishes them. A frame that waited longer than [`LATE`] gives way to the newest one: it goes through conditioning, so
 //! that the zero and the history of the models see every frame, but its contacts are not estimated. While nothing comes, the
 //! node says why. A search for contacts on a forward model takes longer than frames come: with a live source it runs in the background, and frames in
-//! the meantime are answered without it.
+//! the meantime are answered without it. While nobody listens to what is estimated, contacts are looked for in a frame of each
+//! [`UNHEARD_PERIOD`] only: the zero follows drift where nothing touches, and whoever subscribes finds an estimator that knows the present.
 
 use std::collections::VecDeque;
 use std::sync::MutexGuard;
@@ -28,6 +29,8 @@ const LATE: (Duration, f64) = (Duration::from_millis(25), 2.0);
 const MOST_EVENTS: usize = 1024;
 /// Weight of the last frame in the average of the time that a frame takes.
 const PACE: f64 = 0.1;
+/// Period of estimates that nobody listens to.
+const UNHEARD_PERIOD: Duration = Duration::from_millis(100);
 /// Period of the messages of a blind skin.
 const BLIND_PERIOD: Duration = Duration::from_millis(500);
 /// Shortest time between two warnings about a clock: a broken one jumps with every frame.
@@ -234,7 +237,12 @@ impl<'a> Worker<'a> {
             }
         }
         let begun = Instant::now();
-        self.shared.estimate(core, newest);
+        let lately = core.estimated.is_some_and(|at| begun.duration_since(at) < UNHEARD_PERIOD);
+        if self.live && lately && !core.publishers.heard() {
+            self.shared.pass_unheard(core, newest);
+        } else {
+            self.shared.estimate(core, newest);
+        }
         self.pace += PACE * (begun.elapsed().as_secs_f64() - self.pace);
     }
 
@@ -337,9 +345,25 @@ impl Shared {
     }
 
     /// One frame through conditioning only: the contacts are estimated of a newer one.
-    fn drop_frame(&self, core: &mut Core, mut frame: Frame) {
+    fn drop_frame(&self, core: &mut Core, frame: Frame) {
+        if self.pass(core, frame) {
+            core.figures.dropped += 1;
+            core.figures.dropped_total += 1;
+        }
+    }
+
+    /// One frame through conditioning only: nobody listens to what would be estimated.
+    fn pass_unheard(&self, core: &mut Core, frame: Frame) {
+        if self.pass(core, frame) {
+            core.figures.unheard += 1;
+            core.figures.unheard_total += 1;
+        }
+    }
+
+    /// Conditions a frame, and gives its readings to those who listen to them; whether the node takes frames.
+    fn pass(&self, core: &mut Core, mut frame: Frame) -> bool {
         if !self.stamp(core, &mut frame) {
-            return;
+            return false;
         }
         if let Err(error) = core.estimator.pass(&frame) {
             tracing::debug!("skin `{}`: {error}", self.skin.name);
@@ -349,8 +373,7 @@ impl Shared {
         publishers.taxels.offer(|| Some(self.skin.frame_message(&estimator.conditioned().reading)));
         figures.frames_total += 1;
         figures.frames += 1;
-        figures.dropped += 1;
-        figures.dropped_total += 1;
+        true
     }
 
     /// One frame through conditioning, inference and publication.
@@ -359,6 +382,7 @@ impl Shared {
         if !self.stamp(core, &mut frame) {
             return;
         }
+        core.estimated = Some(begun);
         let mut wanted = core.publishers.wanted();
         wanted.displacement = wanted.displacement && core.estimator.displacements_ready();
         core.estimator.want_maps(wanted);

@@ -104,6 +104,38 @@ fn frames_become_contacts() {
 }
 
 #[test]
+fn contacts_are_looked_for_ten_times_a_second_while_nobody_listens() {
+    let bench = Bench::new();
+    let device = Device::plug(&bench.path("tty"));
+    let running = bench.start(&bench.config());
+    let observer = bench.observer();
+    let (_taxels, taxels) = listen::<TaxelFrame>(&observer, "taxels", Qos::sensor_data());
+    let counts = || {
+        let core = running.shared.lock();
+        (core.figures.frames_total, core.figures.unheard_total)
+    };
+    let before = counts();
+    // Readings are published of every frame.
+    let first = expect(&taxels, "a frame", |_| true).sequence;
+    let last = expect(&taxels, "frames of a second", |m| m.sequence >= first + 100).sequence;
+    let after = counts();
+    let (frames, unheard) = (after.0 - before.0, after.1 - before.1);
+    let estimated = frames - unheard;
+    assert!(frames >= last - first && unheard > frames / 2, "{unheard} of {frames}");
+    let seconds = frames as f64 / running.skin().rate;
+    assert!((estimated as f64) < 10.0 * seconds + 3.0, "{estimated} of {frames} were estimated");
+
+    let (_contacts, contacts) = listen::<ContactArray>(&observer, "contacts", Qos::sensor_data());
+    device.press([2000.0, 0.0, 0.0, 0.0]);
+    expect(&contacts, "a contact", |m| !m.contacts.is_empty());
+    let (frames, unheard) = counts();
+    expect(&taxels, "further frames", |m| m.sequence >= last + 100);
+    let (more, still) = counts();
+    assert!(more > frames && still == unheard, "{still} of {more}, {unheard} of {frames} before");
+    running.stop();
+}
+
+#[test]
 fn a_mounted_skin_says_where_it_is() {
     let bench = Bench::new();
     let _device = Device::plug(&bench.path("tty"));
