@@ -195,7 +195,7 @@ fn the_page_of_bounds_looks_right() {
     let folder = tempfile::tempdir().unwrap();
     let skin = root().join("launch/skins/baro-grid.toml");
     finish(Command::new(program("dermis")).arg("bounds").arg(skin).arg("--out").arg(folder.path()));
-    looks_right(&folder.path().join("theory.html"));
+    looks_right(&folder.path().join("bounds.html"));
 }
 
 fn dermis(arguments: &[&str]) -> Command {
@@ -221,7 +221,7 @@ fn the_page_of_a_sweep_looks_right_with_and_without_a_position() {
         let folder = tempfile::tempdir().unwrap();
         let mut sweep = dermis(&["sweep", "launch/skins/baro-line.toml", "--vary", "depth"]);
         finish(sweep.args(flags).arg("--out").arg(folder.path()));
-        let page = seen(folder.path(), "design.html", name);
+        let page = seen(folder.path(), "sweep.html", name);
         for sentence in
             ["position not determined", "There is no figure of the position", "There is no figure of Ω"]
         {
@@ -285,7 +285,7 @@ fn pages_of_several_contacts_by_simulation_look_right() {
     let few = |name: &str| format!("{name} = {{ hidden = [16] }}\n{name}_training = {{ epochs = 2 }}\n");
     let networks: String = ["transfer", "reconstruction", "sensitivity"].map(few).concat();
     let text = format!(
-        "most = 300\n[scenes]\nsites = 60\n[pipeline]\neach = 0\nsums = 100\nsamples = [100, 100, 100, 100]\n{networks}\
+        "most = 300\n[scenes]\nlocations = 60\n[pipeline]\neach = 0\nsums = 100\nsamples = [100, 100, 100, 100]\n{networks}\
          [table]\nsamples = [60, 60, 60, 60]\ntests = 30\nnetwork = {{ hidden = [16] }}\ntraining = {{ epochs = 2 }}\n"
     );
     std::fs::write(&settings, text).unwrap();

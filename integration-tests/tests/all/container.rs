@@ -2,15 +2,18 @@
 
 #![expect(clippy::unwrap_used, reason = "a panic is the report of a failed test")]
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::{Arc, Mutex};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
+use dermis_bag::BagReader;
 use dermis_integration_tests::launch::{Launch, PATIENCE, children, kill, until};
 use dermis_integration_tests::{Peer, backend, domain, finish, isolate, json, program, root};
 use dermis_msgs::msg::BodyContacts;
 use dermis_msgs::std_msgs::msg::Bool;
+use dermis_msgs::{Message, TypeSupport};
 use dermis_node::{Node, NodeOptions, Qos};
 
 const PLAN: &str = "schema = 'dermis-plan/1'\nname = 'pressed'\nseed = 1\ndiameter = 0.004\nmargin = 0.006\n\
@@ -68,6 +71,27 @@ processes:
     file
 }
 
+/// Fused messages as they came, by their stamps and numbers: a process that was started again counts anew.
+type Wire = HashMap<(i64, u64), Vec<u8>>;
+
+/// Where a fused message is in [`Wire`].
+fn key(body: &BodyContacts) -> (i64, u64) {
+    (body.header.stamp.as_nanos(), body.sequence)
+}
+
+/// Fused messages that another process got and that are in a bag: how many, each with the same bytes in both.
+fn same_bytes(bag: &Path, wire: &Wire) -> usize {
+    let recorded = BagReader::open(bag).unwrap().messages().map(Result::unwrap);
+    let fused = recorded.filter(|message| &*message.topic == "/two/body_contacts");
+    let both = fused.filter(|message| {
+        let body = BodyContacts::from_cdr(&message.data).unwrap();
+        let sent = wire.get(&key(&body));
+        assert!(sent.is_none_or(|sent| *sent == message.data), "message {} differs", body.sequence);
+        sent.is_some()
+    });
+    both.count()
+}
+
 #[test]
 fn skins_fusion_reflexes_recorder_and_bridge_share_a_process() {
     let folder = tempfile::tempdir().unwrap();
@@ -76,17 +100,17 @@ fn skins_fusion_reflexes_recorder_and_bridge_share_a_process() {
     let node =
         Node::open(NodeOptions::new("outside").domain_id(domain()).localhost_only(true), &backend()).unwrap();
     let touched: Arc<Mutex<[u32; 2]>> = Arc::default();
-    let sink = Arc::clone(&touched);
+    let wire: Arc<Mutex<Wire>> = Arc::default();
+    let (sink, kept) = (Arc::clone(&touched), Arc::clone(&wire));
+    let (fused, qos) = (TypeSupport::of::<BodyContacts>(), Qos::sensor_data().with_depth(100));
     let _body = node
-        .subscribe::<BodyContacts>(
-            "/two/body_contacts",
-            Qos::sensor_data().with_depth(100),
-            move |body, _| {
-                for contact in &body.contacts {
-                    sink.lock().unwrap()[usize::from(contact.skins == ["back"])] += 1;
-                }
-            },
-        )
+        .subscribe_raw("/two/body_contacts", fused, qos, move |bytes, _| {
+            let body = BodyContacts::from_cdr(bytes).unwrap();
+            for contact in &body.contacts {
+                sink.lock().unwrap()[usize::from(contact.skins == ["back"])] += 1;
+            }
+            kept.lock().unwrap().insert(key(&body), bytes.to_vec());
+        })
         .unwrap();
     let stopped = Arc::new(Mutex::new(0));
     let sink = Arc::clone(&stopped);
@@ -115,7 +139,10 @@ fn skins_fusion_reflexes_recorder_and_bridge_share_a_process() {
     kill(first, "-KILL");
     assert_ne!(launch.started("body"), first);
     *touched.lock().unwrap() = [0; 2];
+    wire.lock().unwrap().clear();
     until("the body feels both skins again", body_feels_both);
+    // A hundred frames of each skin for the recorder, however soon both are felt.
+    std::thread::sleep(Duration::from_secs(1));
     launch.peer.interrupt();
     launch.wait_for("body ended");
     assert!(launch.peer.end(PATIENCE).success());
@@ -130,9 +157,10 @@ fn skins_fusion_reflexes_recorder_and_bridge_share_a_process() {
     for topic in ["/two/palm/contacts", "/two/back/contacts", "/two/body_contacts"] {
         let of_topic = info["topics"].as_array().unwrap().iter().find(|t| t["name"] == topic);
         let messages = of_topic.and_then(|t| t["messages"].as_u64()).unwrap_or_default();
-        // As many as both skins were felt for.
-        assert!(messages > 10, "{messages} of {topic} in {}: {info:#}", last.display());
+        assert!(messages > 50, "{messages} of {topic} in {}: {info:#}", last.display());
     }
+    let both = same_bytes(&last, &wire.lock().unwrap());
+    assert!(both > 20, "{both} fused messages are in the bag and came over the wire");
 }
 
 #[test]

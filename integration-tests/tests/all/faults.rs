@@ -515,7 +515,7 @@ fn simulated_time_that_starts_over_is_followed() {
 /// What a listener got since the last call: messages, the longest time between two \[s\], and the 99th percentile of their
 /// age on arrival \[s\].
 #[derive(Debug, Clone, Copy)]
-struct Heard {
+struct Reception {
     rate: f64,
     pause: f64,
     age: f64,
@@ -538,14 +538,14 @@ impl Ear {
         self.ages.push(age_ns as f64 * 1e-9);
     }
 
-    fn take(&mut self) -> Heard {
+    fn take(&mut self) -> Reception {
         let now = Instant::now();
         let passed = self.since.replace(now).map_or(f64::INFINITY, |since| (now - since).as_secs_f64());
         let mut ages = std::mem::take(&mut self.ages);
         ages.sort_by(f64::total_cmp);
         let age = ages.get(ages.len() * 99 / 100).copied().unwrap_or(f64::NAN);
         let pause = std::mem::take(&mut self.pause).as_secs_f64();
-        Heard { rate: ages.len() as f64 / passed, pause, age }
+        Reception { rate: ages.len() as f64 / passed, pause, age }
     }
 }
 

@@ -161,7 +161,7 @@ fn pressed_and_found(protocol: &str, rate: f64) {
             let searched = array.status == ContactArray::STATUS_OK;
             searched && array.contacts.iter().any(|c| held(c) && apart(c, place) < 0.004)
         });
-        assert_eq!(found.contacts.len(), 1, "{found:#?}");
+        assert_eq!((found.status, found.contacts.len()), (ContactArray::STATUS_OK, 1), "{found:#?}");
         let contact = &found.contacts[0];
         assert!(contact.track_id > 0 && deviation(contact) < 0.01, "{contact:#?}");
         // The same contact for as long as it is found there: \[s\] and identity, frame by frame. At its very end, when it fades

@@ -8,17 +8,23 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::mpsc::channel;
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
+use dermis_bag::{BagReader, Filter};
+use dermis_integration_tests::launch::until;
 use dermis_integration_tests::{Peer, backend, domain, finish, isolate, json, program, refused, root};
+use dermis_msgs::TypeSupport;
 use dermis_msgs::msg::{ContactArray, ForceMap, TaxelFrame};
 use dermis_msgs::sensor_msgs::msg::Image;
-use dermis_node::{Node, NodeOptions, Qos};
+use dermis_node::{Node, NodeOptions, Qos, Subscription};
 
 const FOAM: &str = "integration-tests/toys/skins/toy-foam.toml";
 const CAMERA: &str = "integration-tests/toys/skins/toy-camera.toml";
 /// Longest wait for anything, on a machine at full load.
 const PATIENCE: Duration = Duration::from_secs(60);
+/// Messages after which a recording of a node ends.
+const ENOUGH: u64 = 60;
 
 /// `dermis` with the families of the test.
 fn toys(arguments: &[&str]) -> Command {
@@ -163,6 +169,85 @@ fn its_node_finds_contacts_on_the_wire() {
     }
 }
 
+/// Messages of one topic as they came, encoded.
+type Messages = Arc<Mutex<Vec<Vec<u8>>>>;
+
+/// Keeps what comes on a topic.
+fn listen(node: &Node, topic: &str, support: &'static TypeSupport) -> (Subscription, Messages) {
+    let messages = Messages::default();
+    let sink = Arc::clone(&messages);
+    let subscription = node
+        .subscribe_raw(topic, support, Qos::sensor_data().with_depth(100), move |data, _| {
+            sink.lock().unwrap().push(data.to_vec());
+        })
+        .unwrap();
+    (subscription, messages)
+}
+
+/// What a bag holds of a topic by now, encoded.
+fn recorded(bag: &Path, topic: &str) -> Vec<Vec<u8>> {
+    let Ok(reader) = BagReader::recover(bag) else { return Vec::new() };
+    let messages = reader.messages_where(Filter::default().topics([topic]));
+    messages.map_while(Result::ok).map(|message| message.data).collect()
+}
+
+/// Records topics of the running node of a skin with the program that ships, which knows neither family. From its first message to its last
+/// one, the bag holds of each topic what a listener got, byte for byte, and no frame is missing.
+fn record_node(skin: &str, plan: &Path, topics: &[(&str, &'static TypeSupport)]) -> BagReader {
+    let [link, bag] = ["device", "recorded"].map(|name| plan.with_file_name(name));
+    let options = NodeOptions::new("listener").domain_id(domain()).localhost_only(true);
+    let node = Node::open(options, &backend()).unwrap();
+    let heard: Vec<_> = topics.iter().map(|&(topic, support)| listen(&node, topic, support)).collect();
+    let mut simulate = toys(&["device", "simulate", skin, "--link"]);
+    let mut device = Peer::start(simulate.arg(&link).arg("--plan").arg(plan));
+    let mut run = toys(&["run", skin, "--source"]);
+    let _node = Peer::start(run.arg(format!("pty://{}", link.display())));
+    // From its first message on the listener gets all: whatever a recorder gets that starts later, it has too.
+    until("the node publishes", || heard.iter().all(|(_, messages)| !messages.lock().unwrap().is_empty()));
+    let mut record = Command::new(program("dermis"));
+    record.args(["record", "--json", "--compression", "none", "--out"]).arg(&bag);
+    let mut recorder = Peer::start(record.args(topics.iter().map(|(topic, _)| topic)));
+    until("enough is recorded", || {
+        BagReader::recover(&bag).is_ok_and(|reader| reader.info().messages >= ENOUGH)
+    });
+    // The device ends and the node stays, so that what it sent last still arrives.
+    device.interrupt();
+    assert!(device.end(PATIENCE).success());
+    until("the last message is recorded", || {
+        heard.iter().zip(topics).all(|((_, messages), (topic, _))| {
+            messages.lock().unwrap().last() == recorded(&bag, topic).last()
+        })
+    });
+    recorder.interrupt();
+    let said = json(&recorder.expect("{", PATIENCE));
+    assert!(recorder.end(PATIENCE).success(), "{said}");
+    assert_eq!((&said["lost"], &said["dropped"]), (&0.into(), &0.into()), "{said}");
+    for ((_, messages), (topic, _)) in heard.iter().zip(topics) {
+        let (sent, kept) = (messages.lock().unwrap(), recorded(&bag, topic));
+        let at = |end: Option<&Vec<u8>>| sent.iter().position(|message| Some(message) == end).unwrap();
+        let sent = &sent[at(kept.first())..=at(kept.last())];
+        assert!(sent == kept, "{topic}: {} messages were sent and {} recorded", sent.len(), kept.len());
+        let said_of = said["topics"].as_array().unwrap().iter().find(|said| said["name"] == *topic).unwrap();
+        assert_eq!(said_of["recorded"], kept.len(), "{said}");
+    }
+    let reader = BagReader::open(&bag).unwrap();
+    let frames = reader.read::<TaxelFrame>("/taxels").unwrap();
+    let numbers: Vec<u64> = frames.map(|frame| frame.unwrap().message.sequence).collect();
+    assert!(numbers.windows(2).all(|pair| pair[1] == pair[0] + 1), "{numbers:?}");
+    reader
+}
+
+#[test]
+fn what_its_node_publishes_is_in_the_bag() {
+    let folder = tempfile::tempdir().unwrap();
+    let plan = plan(folder.path(), "pressed", 50, 4);
+    let bag = record_node(FOAM, &plan, &[("/taxels", TypeSupport::of::<TaxelFrame>())]);
+    for frame in bag.read::<TaxelFrame>("/taxels").unwrap() {
+        let frame = frame.unwrap().message;
+        assert_eq!((frame.skin.as_str(), frame.values.len()), ("toy-foam", 784));
+    }
+}
+
 /// A convolutional network from images to a force map, learned from a bag.
 fn seeing_model(folder: &Path) -> PathBuf {
     let bag = collect_by(CAMERA, &pad_plan(folder, "seen", 100, 1), &[]);
@@ -218,10 +303,27 @@ fn a_cameras_gap_has_a_name() {
 }
 
 #[test]
+fn a_cameras_images_and_frames_are_in_the_bag() {
+    let folder = tempfile::tempdir().unwrap();
+    let topics = [("/taxels", TypeSupport::of::<TaxelFrame>()), ("/image", TypeSupport::of::<Image>())];
+    let bag = record_node(CAMERA, &pad_plan(folder.path(), "pressed", 50, 4), &topics);
+    let frames = bag.read::<TaxelFrame>("/taxels").unwrap();
+    let frames: Vec<i64> = frames.map(|frame| frame.unwrap().message.header.stamp.as_nanos()).collect();
+    let images = bag.read::<Image>("/image").unwrap();
+    let images: Vec<i64> = images.map(|image| image.unwrap().message.header.stamp.as_nanos()).collect();
+    // The recorder may subscribe to one of them earlier than to the other.
+    let begin = frames[0].max(images[0]);
+    let since =
+        |stamps: &[i64]| -> Vec<i64> { stamps.iter().copied().filter(|stamp| *stamp >= begin).collect() };
+    assert_eq!(since(&frames), since(&images), "each frame has its image");
+    assert!(since(&images).len() > 10, "{images:?}");
+}
+
+#[test]
 fn an_effect_on_channels_is_refused_where_a_camera_makes_them() {
     let folder = tempfile::tempdir().unwrap();
     let mut command = toys(&["collect", CAMERA, "--effect", "interference=1", "--plan"]);
-    command.arg(pad_plan(folder.path(), "hum", 2, 5)).arg("--out").arg(folder.path().join("bag"));
+    command.arg(pad_plan(folder.path(), "mains", 2, 5)).arg("--out").arg(folder.path().join("bag"));
     let said = refused(&mut command);
     assert!(said.contains("`interference` acts on channels"), "{said}");
 }

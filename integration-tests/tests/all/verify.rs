@@ -1,4 +1,4 @@
-//! `dermis verify`, and what the program says of skins that cannot be.
+//! `dermis validate`, and what the program says of skins that cannot be.
 
 use std::process::{Command, Output};
 
@@ -16,7 +16,7 @@ fn sentence(output: &Output) -> String {
 
 #[test]
 fn barometers_meet_their_references() {
-    let output = dermis(&["verify", "baro", "--json"]);
+    let output = dermis(&["validate", "baro", "--json"]);
     assert!(output.status.success(), "{output:?}");
     let summary: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(summary["failed"], 0);
@@ -30,14 +30,14 @@ fn barometers_meet_their_references() {
         assert!((number("got") - number("reference")).abs() <= number("tolerance"), "{case}");
     }
     // Without other programs, the closed forms remain.
-    let alone = Command::new(program("dermis")).args(["verify", "baro"]).env("PATH", "").output().unwrap();
+    let alone = Command::new(program("dermis")).args(["validate", "baro"]).env("PATH", "").output().unwrap();
     let table = String::from_utf8(alone.stdout).unwrap();
     assert!(table.contains("Boussinesq") && table.contains("within their tolerance"), "{table}");
 }
 
 #[test]
 fn a_family_that_is_not_there_is_named() {
-    let said = sentence(&dermis(&["verify", "camera"]));
+    let said = sentence(&dermis(&["validate", "camera"]));
     assert!(said.contains("camera") && said.contains("barodome"), "{said}");
 }
 
@@ -57,7 +57,7 @@ fn impossible_skins_are_refused_in_one_sentence() {
         std::fs::write(&path, text.replace(from, to)).unwrap();
         let out = folder.path().join("out");
         let said =
-            sentence(&dermis(&["theory", &path.display().to_string(), "-o", &out.display().to_string()]));
+            sentence(&dermis(&["bounds", &path.display().to_string(), "-o", &out.display().to_string()]));
         assert!(said.contains(field) && said.contains("bad.toml"), "{said}");
         assert_eq!(said.lines().count(), 1, "{said}");
         assert!(!out.exists(), "something was written for {field}");

@@ -6,7 +6,7 @@
 //! | fault | outcome | status |
 //! |---|---|---|
 //! | nothing has come yet, or nothing for longer than the skin's timeout | its contacts end | STALE |
-//! | the same frame again and again | none of it counts, so that the skin is stale after its timeout | STALE |
+//! | the same frame again and again, whatever its stamp | none of it counts, so that the skin is stale after its timeout | STALE |
 //! | the skin itself says that it cannot tell | its contacts end | what it says |
 //! | it started again: its sequence begins anew | its reports count on; what it called its contacts does not | as before |
 //! | stamps ahead of the clock here, or too old | refused, report by report | FAULT |
@@ -284,7 +284,8 @@ impl Intake {
                 return false;
             }
             self.lost += sequence - last.sequence - 1;
-        } else if sequence == last.sequence && step == 0.0 {
+        } else if sequence == last.sequence {
+            // With a new stamp, too: a node that has stopped reading may go on stamping.
             let why = format!(
                 "skin `{}`: sends frame {sequence} again and again; restart its node, or check what it reads",
                 self.name

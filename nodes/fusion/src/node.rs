@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use dermis_body::{HistoryLimits, Robot, RobotError};
+use dermis_body::{HistoryLimits, Robot};
 use dermis_msgs::geometry_msgs::msg::WrenchStamped;
 use dermis_msgs::msg::{BodyContacts, ContactArray};
 use dermis_msgs::sensor_msgs::msg::{JointState, PointCloud2};
@@ -21,13 +21,16 @@ use dermis_node::{
 };
 
 use crate::config::{Config, Transforms};
-use crate::fuser::{BodyState, Fuser, FuserError, contacts_topic};
+use crate::fuser::{BodyState, Fuser, contacts_topic};
 use crate::maps::Maps;
 use crate::messages;
 use crate::settings::{BIRTHS, FIELDS};
 use crate::torque::JointValues;
 
+pub use error::RunError;
+
 mod diagnostics;
+mod error;
 mod maps;
 
 /// Messages that are sent again to a subscriber who asks for reliable delivery and lost them.
@@ -48,47 +51,6 @@ const MARKER_LIFE: f64 = 0.3;
 const MOST_RATE: f64 = 1000.0;
 /// \[Hz\] what `max_rate` may be: slower than the heartbeat it would say nothing.
 const MAX_RATES: std::ops::RangeInclusive<f64> = 10.0..=10_000.0;
-
-/// Why the node does not start.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum RunError {
-    /// The robot file cannot be used.
-    #[error(transparent)]
-    Robot(#[from] RobotError),
-    /// The robot has no skins.
-    #[error("robot file {path}: it has no skins, so that there is nothing to merge; add `[[skins]]`")]
-    NoSkins {
-        /// The robot file.
-        path: std::path::PathBuf,
-    },
-    /// Settings or expectations cannot be.
-    #[error(transparent)]
-    Fuser(#[from] FuserError),
-    /// The rate of answers cannot be.
-    #[error("`rate`: is {rate} Hz and must be from 0 to {MOST_RATE}")]
-    Rate {
-        /// What it is.
-        rate: f64,
-    },
-    /// The most answers a second cannot be.
-    #[error("`max_rate`: is {rate} Hz and must be from {} to {}", MAX_RATES.start(), MAX_RATES.end())]
-    MaxRate {
-        /// What it is.
-        rate: f64,
-    },
-    /// Start values of parameters that this node does not have.
-    #[error("parameter `{names}` is none of this node; its parameters are {known}")]
-    UnknownParameter {
-        /// Names as configured.
-        names: String,
-        /// Parameters that exist.
-        known: String,
-    },
-    /// ROS refused.
-    #[error(transparent)]
-    Node(#[from] NodeError),
-}
 
 /// One for each topic.
 struct Publishers {

@@ -15,6 +15,9 @@ use rand_distr::{Distribution, StandardNormal};
 use crate::fuser::{BodyState, Fuser};
 use crate::settings::Settings;
 
+pub(crate) mod arm;
+pub(crate) mod square;
+
 /// \[ns\]
 pub(crate) const MS: i64 = 1_000_000;
 /// When simulations begin.

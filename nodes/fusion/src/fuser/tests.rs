@@ -1,5 +1,8 @@
 //! The estimator on messages in memory.
 
+mod chain;
+mod neighbours;
+mod overlap;
 mod scenarios;
 
 use dermis_skin::ForceComponents;
@@ -11,6 +14,12 @@ use crate::testing::{BEGIN, MS, contact, fuser, report};
 /// Place of a contact in the frame of the chest, which is 0.3 m above the base.
 fn on_chest(touch: &BodyTouch) -> Vector3<f64> {
     touch.body_from_contact.translation.vector - Vector3::new(0.0, 0.0, 0.3)
+}
+
+/// Pose of skin `b` in the frame of the chest, as the text of the robot has it: that of the plate, and that of the skin on the plate.
+fn chest_from_b() -> Isometry3<f64> {
+    Isometry3::new(Vector3::new(0.1, 0.0, 0.0), Vector3::new(0.0, 0.0, 0.5))
+        * Isometry3::new(Vector3::new(0.0, 0.02, 0.0), Vector3::new(0.0, 0.0, 0.3))
 }
 
 /// Any order of arrival within the bound gives the same answer.

@@ -86,6 +86,16 @@ fn a_skin_that_freezes_is_stale() {
     assert_eq!((status, contacts), (STALE, 0));
     insta::assert_snapshot!(text, @"skin `a`: sends frame 50 again and again; restart its node, or check what it reads");
     stream.recovers();
+    // A node that stamps its last frame anew is neither two nodes nor one that starts again and again.
+    let sequence = stream.sequence;
+    for _ in 0..40 {
+        assert!(!stream.send(|m| m.sequence = sequence));
+    }
+    let text =
+        format!("skin `a`: sends frame {sequence} again and again; restart its node, or check what it reads");
+    assert_eq!(stream.ask(), (STALE, text, 0));
+    assert_eq!(stream.fuser.state(stream.now).skins[0].health.restarts, 0);
+    stream.recovers();
 }
 
 #[test]

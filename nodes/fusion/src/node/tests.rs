@@ -1,5 +1,8 @@
 //! The node with messages in memory.
 
+mod efforts;
+mod force_points;
+
 use std::sync::mpsc::{Receiver, channel};
 
 use dermis_node::memory::Memory;

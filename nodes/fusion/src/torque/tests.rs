@@ -9,46 +9,14 @@ use rand_chacha::ChaCha8Rng;
 use super::*;
 use crate::fuser::{BodyState, Fuser};
 use crate::settings::Settings;
+use crate::testing::arm::{LIMITS, ONE_SKIN, arm, joints, push_torques, urdf};
 use crate::testing::{BEGIN, MS, contact, normal, report};
 
-/// Axes and lengths \[m\] of the links, and their masses \[kg\], as of a light arm.
-const LINKS: [([i32; 3], f64, f64); 7] = [
-    ([0, 0, 1], 0.16, 3.5),
-    ([0, 1, 0], 0.20, 3.5),
-    ([0, 0, 1], 0.20, 2.5),
-    ([0, -1, 0], 0.20, 2.5),
-    ([0, 0, 1], 0.20, 1.5),
-    ([0, 1, 0], 0.10, 1.5),
-    ([0, 0, 1], 0.12, 0.6),
-];
-/// \[N m\] limits of the joints.
-const LIMITS: [f64; 7] = [100.0, 100.0, 60.0, 60.0, 30.0, 20.0, 10.0];
 /// \[s\] between joint states.
 const STEP: f64 = 0.002;
 
-fn urdf() -> String {
-    let mut text = "<robot name='seven'><link name='l0'/>".to_owned();
-    for (i, ([x, y, z], length, mass)) in LINKS.iter().enumerate() {
-        let before = if i == 0 { 0.1 } else { LINKS[i - 1].1 };
-        let (half, across, along) = (length / 2.0, mass * length * length / 10.0, mass * 0.04 * 0.04);
-        text += &format!(
-            "<link name='l{n}'><inertial><origin xyz='0 0.01 {half}'/><mass value='{mass}'/>\
-             <inertia ixx='{across}' ixy='0' ixz='0' iyy='{across}' iyz='0' izz='{along}'/></inertial></link>\
-             <joint name='j{n}' type='revolute'><parent link='l{i}'/><child link='l{n}'/><origin xyz='0 0 {before}'/>\
-             <axis xyz='{x} {y} {z}'/><limit lower='-3' upper='3' velocity='4' effort='{limit}'/></joint>",
-            n = i + 1,
-            limit = LIMITS[i],
-        );
-    }
-    text + "</robot>"
-}
-
 fn robot(urdf: &str) -> Robot {
-    let folder = tempfile::tempdir().unwrap();
-    std::fs::write(folder.path().join("r.urdf"), urdf).unwrap();
-    let text = "schema = 'dermis-robot/1'\nname = 'r'\nurdf = 'r.urdf'\n[[skins]]\nname = 'a'\n\
-                mount = { parent = 'l4', translation = [0.0, 0.05, 0.1], rpy = [-1.5707963267948966, 0.0, 0.0] }";
-    Robot::from_toml(text, &folder.path().join("r.toml")).unwrap()
+    arm(urdf, ONE_SKIN)
 }
 
 /// A push on the arm.
@@ -122,7 +90,7 @@ impl Simulation {
     /// Runs for `duration` \[s\]; every answer is shown.
     fn run(&mut self, duration: f64, mut look: impl FnMut(f64, &BodyState)) {
         let gravity = Vector3::from(TorqueSettings::default().gravity);
-        let names: Vec<String> = (1..8).map(|i| format!("j{i}")).collect();
+        let names = joints();
         let body = self.fuser.robot().body.clone();
         let skin = self.fuser.robot().skins[0].clone();
         for k in 1..(duration / STEP) as u64 {
@@ -253,6 +221,53 @@ fn what_skins_explain_is_no_alarm() {
     let mut found = 0;
     simulation.run(1.8, |_, state| found += unknown(state).len());
     assert!(found > 40, "{found}");
+}
+
+/// One push on the skin and one on the hand behind it, at once, on arms with frictions of their own: the skin's torques are those of the first, and
+/// what is left to the joints, and its contact, are the second. Truths are the work of each force along the arm's own geometry.
+#[test]
+fn of_two_pushes_on_one_chain_joints_feel_what_the_skin_does_not() {
+    let on_skin = Push {
+        link: 4,
+        at: Point3::new(0.01, 0.05, 0.12),
+        force: Vector3::new(5.0, -40.0, 8.0),
+        detected: true,
+        ..on_hand()
+    };
+    let (mut squares, mut torque_squares, mut n) = (0.0, 0.0, 0.0);
+    for seed in 300..310 {
+        let mut simulation = Simulation::new(seed, &[on_skin, on_hand()]);
+        let mut latest = None;
+        simulation.run(1.12, |t, state| {
+            assert!(unknown(state).len() <= 1, "seed {seed} at {t} s: {state:?}");
+            if (1.1..1.11).contains(&t) {
+                latest = Some(state.clone());
+            }
+        });
+        let state = latest.unwrap();
+        // The skin's newest reading is 10 ms old.
+        let [q, ..] = simulation.motion(1.09);
+        let q: [f64; 7] = q.try_into().unwrap();
+        for (found, truth) in state.torques.iter().zip(push_torques(&q, 4, on_skin.at, on_skin.force)) {
+            assert!((found - truth).abs() < 1e-6, "seed {seed}: {found} N m, not {truth}");
+        }
+        let found = unknown(&state);
+        let [touch] = found.as_slice() else { panic!("seed {seed}: {found:?}") };
+        assert_eq!((touch.link, touch.other_links.len()), (7, 0), "seed {seed}");
+        let error = touch.contact.force - on_hand().force;
+        squares += error.dot(&(touch.contact.force_covariance.try_inverse().unwrap() * error));
+        let left = state.unexplained.as_ref().unwrap();
+        let truth = push_torques(&q, 7, on_hand().at, on_hand().force);
+        for ((found, variance), truth) in left.values.iter().zip(&left.variances).zip(truth) {
+            torque_squares += (found - truth).powi(2) / variance;
+        }
+        n += 1.0;
+    }
+    // Means of χ² with 30 and 70 degrees of freedom that one such run in a thousand is above.
+    let (force, torque) = (squares / (3.0 * n), torque_squares / (7.0 * n));
+    println!("normalised squared error: force {force:.2}, torques {torque:.2}");
+    assert!(force < 1.99, "{force}");
+    assert!(torque < 1.60, "{torque}");
 }
 
 /// Fast motion, without a touch.

@@ -203,10 +203,12 @@ fn a_contact_of_five_minutes_stays() {
     assert!(id.is_some());
 }
 
-/// Root mean square error of the position beside that of the mean of the last readings of both skins, and of the better skin.
+/// Root mean square error of the position beside that of the mean of the last readings of both skins, of the last reading of the better skin, and of
+/// the same filter on the better skin alone: the last rival has everything but the other skin.
 #[test]
 fn it_is_better_than_an_average_and_than_the_best_skin() {
     let (mut fused, mut average, mut best, mut n) = (0.0, 0.0, 0.0, 0.0);
+    let (mut filtered, mut m) = (0.0, 0.0);
     for seed in 0..60 {
         let mut scenario = scenario(vec![Touch::resting(0.0, 9.0, 0.01, 0.02, 4.0)], 0.6);
         (scenario.seed, scenario.moves) = (500 + seed, true);
@@ -227,8 +229,24 @@ fn it_is_better_than_an_average_and_than_the_best_skin() {
             best += (a - truth.position).norm_squared();
             n += 1.0;
         });
+        // Touch and readings are drawn before those of further skins, so that they are the same again.
+        scenario.skins.truncate(1);
+        scenario.run(|moment| {
+            if moment.t < 0.2 {
+                return;
+            }
+            filtered += errors(moment)[0].1.as_ref().unwrap().0.norm_squared();
+            m += 1.0;
+        });
     }
-    let [fused, average, best] = [fused, average, best].map(|sum: f64| (sum / n).sqrt());
-    println!("root mean square: fused {fused} m, average {average} m, best skin {best} m");
+    assert_eq!(n, m, "both are asked equally often");
+    let [fused, average, best, filtered] = [fused, average, best, filtered].map(|sum: f64| (sum / n).sqrt());
+    println!(
+        "root mean square: fused {fused} m, average {average} m, best skin {best} m, filtered {filtered} m"
+    );
     assert!(fused < 0.9 * average.min(best), "fused {fused} m, average {average} m, best skin {best} m");
+    assert!(
+        fused < filtered && filtered < best,
+        "fused {fused} m, best skin {best} m, filtered {filtered} m"
+    );
 }
