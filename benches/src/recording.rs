@@ -79,7 +79,7 @@ pub fn run(options: &Options) -> Result<Value> {
     }
     let mut result = json!({
         "seconds": options.seconds,
-        "asked_mb_s": options.rate,
+        "target_mb_s": options.rate,
         "disk_mb_s": disk.0,
         "disk_synced_mb_s": disk.1,
         "writer": writer,

@@ -67,14 +67,14 @@ struct Second {
 }
 
 #[derive(Default)]
-struct Heard {
+struct Listener {
     latencies: Vec<f64>,
     last: [Option<u64>; SKINS],
     received: [u64; SKINS],
     lost: [u64; SKINS],
 }
 
-impl Heard {
+impl Listener {
     fn take(&mut self, skin: usize, array: &ContactArray) {
         self.latencies.push((now_ns() - array.header.stamp.as_nanos()) as f64 * 1e-6);
         // While a skin says that it is blind, no frame stands behind its message.
@@ -105,7 +105,7 @@ pub fn run(options: &Options) -> Result<Value> {
             .context("this program has no folder")?,
     };
     let domain = 120 + (std::process::id() % 40) as u16;
-    let heard = Arc::new(Mutex::new(Heard::default()));
+    let listener = Arc::new(Mutex::new(Listener::default()));
     let mut node_options = NodeOptions::new("soak");
     node_options.domain_id = Some(domain);
     node_options = node_options.localhost_only(true);
@@ -113,10 +113,10 @@ pub fn run(options: &Options) -> Result<Value> {
     let qos = Qos { history: History::KeepLast(1000), ..Qos::sensor_data() };
     let mut subscriptions = Vec::new();
     for skin in 0..SKINS {
-        let heard = Arc::clone(&heard);
+        let listener = Arc::clone(&listener);
         let topic = format!("/skin_{}/contacts", skin + 1);
         subscriptions.push(node.subscribe::<ContactArray>(&topic, qos, move |array, _| {
-            heard.lock().unwrap_or_else(PoisonError::into_inner).take(skin, &array);
+            listener.lock().unwrap_or_else(PoisonError::into_inner).take(skin, &array);
         })?);
     }
 
@@ -124,42 +124,12 @@ pub fn run(options: &Options) -> Result<Value> {
     command.arg("launch").arg(&options.launch).arg(format!("out:={}", bag.display()));
     let launch = isolated(&mut command, domain).stdout(Stdio::null()).spawn();
     let mut launch = Process(launch.with_context(|| format!("{} cannot be started", dermis.display()))?);
-    let begun = Instant::now();
-    while heard.lock().unwrap_or_else(PoisonError::into_inner).received.contains(&0) {
-        if let Some(status) = launch.0.try_wait()? {
-            bail!("the launch ended with {status} before all skins spoke");
-        }
-        if begun.elapsed() > PATIENCE {
-            bail!("not all skins spoke within {} s", PATIENCE.as_secs());
-        }
-        std::thread::sleep(Duration::from_millis(100));
-    }
-
-    let whole = options.minutes * 60.0;
-    let begun = Instant::now();
-    let mut seconds: Vec<Second> = Vec::new();
-    while begun.elapsed().as_secs_f64() < whole {
-        let next = Duration::from_secs(seconds.len() as u64 + 1);
-        std::thread::sleep(next.saturating_sub(begun.elapsed()));
-        if let Some(status) = launch.0.try_wait()? {
-            bail!("the launch ended with {status} after {:.0} s", begun.elapsed().as_secs_f64());
-        }
-        let mut latencies =
-            std::mem::take(&mut heard.lock().unwrap_or_else(PoisonError::into_inner).latencies);
-        latencies.sort_by(f64::total_cmp);
-        seconds.push(Second {
-            t: begun.elapsed().as_secs_f64(),
-            memory: machine::family_memory(launch.0.id()),
-            latency: [50.0, 99.0, 100.0].map(|p| percentile(&latencies, p)),
-        });
-        if seconds.len().is_multiple_of(60) {
-            eprintln!("{} of {} min", seconds.len() / 60, options.minutes);
-        }
-    }
+    wait_for_skins(&mut launch, &listener)?;
+    let seconds = watch(&mut launch, &listener, options.minutes)?;
     drop(subscriptions);
     let (received, lost) = {
-        let heard = heard.lock().unwrap_or_else(PoisonError::into_inner);
-        (heard.received, heard.lost)
+        let listener = listener.lock().unwrap_or_else(PoisonError::into_inner);
+        (listener.received, listener.lost)
     };
     machine::interrupt(&launch.0)?;
     let status = machine::wait(&mut launch.0, Duration::from_secs(60))?;
@@ -179,6 +149,47 @@ pub fn run(options: &Options) -> Result<Value> {
         bail!("{} of the bounds of the long run are missed", failures.len());
     }
     Ok(summary)
+}
+
+/// Waits until every skin has spoken.
+fn wait_for_skins(launch: &mut Process, listener: &Mutex<Listener>) -> Result<()> {
+    let begun = Instant::now();
+    while listener.lock().unwrap_or_else(PoisonError::into_inner).received.contains(&0) {
+        if let Some(status) = launch.0.try_wait()? {
+            bail!("the launch ended with {status} before all skins spoke");
+        }
+        if begun.elapsed() > PATIENCE {
+            bail!("not all skins spoke within {} s", PATIENCE.as_secs());
+        }
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    Ok(())
+}
+
+/// Looks at memory and latencies once a second.
+fn watch(launch: &mut Process, listener: &Mutex<Listener>, minutes: f64) -> Result<Vec<Second>> {
+    let whole = minutes * 60.0;
+    let begun = Instant::now();
+    let mut seconds: Vec<Second> = Vec::new();
+    while begun.elapsed().as_secs_f64() < whole {
+        let next = Duration::from_secs(seconds.len() as u64 + 1);
+        std::thread::sleep(next.saturating_sub(begun.elapsed()));
+        if let Some(status) = launch.0.try_wait()? {
+            bail!("the launch ended with {status} after {:.0} s", begun.elapsed().as_secs_f64());
+        }
+        let mut latencies =
+            std::mem::take(&mut listener.lock().unwrap_or_else(PoisonError::into_inner).latencies);
+        latencies.sort_by(f64::total_cmp);
+        seconds.push(Second {
+            t: begun.elapsed().as_secs_f64(),
+            memory: machine::family_memory(launch.0.id()),
+            latency: [50.0, 99.0, 100.0].map(|p| percentile(&latencies, p)),
+        });
+        if seconds.len().is_multiple_of(60) {
+            eprintln!("{} of {minutes} min", seconds.len() / 60);
+        }
+    }
+    Ok(seconds)
 }
 
 /// What `dermis bag check` says about the recording.
@@ -327,15 +338,15 @@ mod tests {
 
     #[test]
     fn steps_of_the_sequence_are_losses() {
-        let mut heard = Heard::default();
+        let mut listener = Listener::default();
         for sequence in [7, 8, 11, 12] {
-            heard.take(2, &ContactArray { sequence, ..ContactArray::default() });
+            listener.take(2, &ContactArray { sequence, ..ContactArray::default() });
         }
-        heard.take(
+        listener.take(
             2,
             &ContactArray { status: ContactArray::STATUS_STALE, sequence: 90, ..ContactArray::default() },
         );
-        assert_eq!((heard.lost[2], heard.received[2], heard.latencies.len()), (2, 4, 5));
+        assert_eq!((listener.lost[2], listener.received[2], listener.latencies.len()), (2, 4, 5));
     }
 
     #[test]

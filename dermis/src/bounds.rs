@@ -28,7 +28,7 @@ pub fn run(options: &Options) -> Result<()> {
     let text = report::text(&findings);
     if let Some(folder) = &options.output.out {
         let json = serde_json::to_string(&findings)? + "\n";
-        output::save(folder, &[("theory.json", json), ("theory.html", report::html(&findings, &text)?)])?;
+        output::save(folder, &[("bounds.json", json), ("bounds.html", report::html(&findings, &text)?)])?;
     }
     output::print(options.output.json, &bounds::summary(&findings), &text)
 }

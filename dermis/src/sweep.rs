@@ -26,7 +26,7 @@ pub fn run(options: &Options) -> Result<()> {
     let text = report::text(&findings);
     if let Some(folder) = &options.output.out {
         let json = serde_json::to_string(&findings)? + "\n";
-        output::save(folder, &[("design.html", report::html(&findings, &text)?), ("design.json", json)])?;
+        output::save(folder, &[("sweep.html", report::html(&findings, &text)?), ("sweep.json", json)])?;
     }
     output::print(options.output.json, &findings, &text)
 }

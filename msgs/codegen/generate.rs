@@ -74,69 +74,14 @@ impl Interfaces {
 
     fn structure(&self, structure: &Structure) -> Result<String, String> {
         let name = rust_name(&structure.name);
-        let mut fields = String::new();
-        let mut write = String::new();
-        let mut read = String::new();
-        let mut sizes = Vec::new();
-        let mut defaults = String::new();
-        for field in &structure.fields {
-            let id = rust_field(&field.name);
-            let ty = rust_type(field);
-            if let Shape::Array(n @ 33..) = field.shape {
-                // Default, Serialize and Deserialize end at 32.
-                return Err(format!(
-                    "{}.{}: arrays of {n} > 32 are not supported",
-                    structure.name, field.name
-                ));
-            }
-            let mut doc = format!("`{}`", field.ros_type);
-            if !field.doc.is_empty() {
-                write!(doc, ": {}", escape(&field.doc)).expect(INFALLIBLE);
-            }
-            let json = match field.base {
-                Base::Float32 | Base::Float64 => "    #[serde(with = \"crate::json\")]\n",
-                _ => "",
-            };
-            writeln!(fields, "    #[doc = {doc:?}]\n{json}    pub {id}: {ty},").expect(INFALLIBLE);
-            sizes.push(format!("<{ty} as crate::cdr::Cdr>::MIN_SIZE"));
-            writeln!(write, "        crate::cdr::Cdr::write(&self.{id}, w);").expect(INFALLIBLE);
-            let (_, _, last) = split(&structure.name);
-            let call = match (&field.base, field.shape) {
-                (_, Shape::Bounded(max)) => format!("r.bounded_sequence({max})?"),
-                (Base::String(Some(max)), Shape::One) => format!("r.bounded_string({max})?"),
-                (Base::String(Some(_)), _) => {
-                    return Err(format!(
-                        "{}.{}: arrays of bounded strings are not supported",
-                        structure.name, field.name
-                    ));
-                }
-                _ => "crate::cdr::Cdr::read(r)?".to_owned(),
-            };
-            writeln!(read, "            {id}: {{ r.enter(\"{last}.{}\"); {call} }},", field.name)
-                .expect(INFALLIBLE);
-            let default =
-                field.default.as_deref().map_or("Default::default()".to_owned(), |v| literal(&field.base, v));
-            let owned = matches!(field.base, Base::String(_)) && field.default.is_some();
-            writeln!(defaults, "            {id}: {default}{},", if owned { ".to_owned()" } else { "" })
-                .expect(INFALLIBLE);
-        }
-        if structure.fields.is_empty() {
-            write.push_str("        w.placeholder();\n");
-            sizes.push("1".to_owned());
-        }
+        let FieldTexts { fields, write, read, sizes, defaults } = FieldTexts::of(structure)?;
         let read = if structure.fields.is_empty() {
             "        r.placeholder()?;\n        Ok(Self {})\n".to_owned()
         } else {
             format!("        Ok(Self {{\n{read}        }})\n")
         };
-
-        // What differs from Rust's own defaults.
-        let has_defaults = structure.fields.iter().any(|field| {
-            let value = field.default.as_deref().map(|value| literal(&field.base, value));
-            value.is_some_and(|value| !matches!(value.as_str(), "false" | "0" | "0.0" | "\"\""))
-        });
-        let derive = if has_defaults { "" } else { "Default, " };
-        let default = if has_defaults {
+        let derive = if has_defaults(structure) { "" } else { "Default, " };
+        let default = if has_defaults(structure) {
             format!(
                 "impl Default for {name} {{\n    fn default() -> Self {{\n        Self {{\n{defaults}        }}\n    }}\n}}\n"
             )
@@ -231,6 +176,82 @@ impl crate::Service for {name} {{
         }
         Ok(out)
     }
+}
+
+/// What the fields of a structure make.
+#[derive(Default)]
+struct FieldTexts {
+    fields: String,
+    /// Statements of `write`.
+    write: String,
+    /// Fields of what `read` returns.
+    read: String,
+    /// Terms of the smallest size.
+    sizes: Vec<String>,
+    /// Fields of what `default` returns.
+    defaults: String,
+}
+
+impl FieldTexts {
+    fn of(structure: &Structure) -> Result<Self, String> {
+        let mut texts = Self::default();
+        for field in &structure.fields {
+            texts.add(structure, field)?;
+        }
+        if structure.fields.is_empty() {
+            texts.write.push_str("        w.placeholder();\n");
+            texts.sizes.push("1".to_owned());
+        }
+        Ok(texts)
+    }
+
+    fn add(&mut self, structure: &Structure, field: &Field) -> Result<(), String> {
+        let id = rust_field(&field.name);
+        let ty = rust_type(field);
+        if let Shape::Array(n @ 33..) = field.shape {
+            // Default, Serialize and Deserialize end at 32.
+            return Err(format!("{}.{}: arrays of {n} > 32 are not supported", structure.name, field.name));
+        }
+        let mut doc = format!("`{}`", field.ros_type);
+        if !field.doc.is_empty() {
+            write!(doc, ": {}", escape(&field.doc)).expect(INFALLIBLE);
+        }
+        let json = match field.base {
+            Base::Float32 | Base::Float64 => "    #[serde(with = \"crate::json\")]\n",
+            _ => "",
+        };
+        writeln!(self.fields, "    #[doc = {doc:?}]\n{json}    pub {id}: {ty},").expect(INFALLIBLE);
+        self.sizes.push(format!("<{ty} as crate::cdr::Cdr>::MIN_SIZE"));
+        writeln!(self.write, "        crate::cdr::Cdr::write(&self.{id}, w);").expect(INFALLIBLE);
+        let (_, _, last) = split(&structure.name);
+        let call = match (&field.base, field.shape) {
+            (_, Shape::Bounded(max)) => format!("r.bounded_sequence({max})?"),
+            (Base::String(Some(max)), Shape::One) => format!("r.bounded_string({max})?"),
+            (Base::String(Some(_)), _) => {
+                return Err(format!(
+                    "{}.{}: arrays of bounded strings are not supported",
+                    structure.name, field.name
+                ));
+            }
+            _ => "crate::cdr::Cdr::read(r)?".to_owned(),
+        };
+        writeln!(self.read, "            {id}: {{ r.enter(\"{last}.{}\"); {call} }},", field.name)
+            .expect(INFALLIBLE);
+        let default =
+            field.default.as_deref().map_or("Default::default()".to_owned(), |v| literal(&field.base, v));
+        let owned = matches!(field.base, Base::String(_)) && field.default.is_some();
+        writeln!(self.defaults, "            {id}: {default}{},", if owned { ".to_owned()" } else { "" })
+            .expect(INFALLIBLE);
+        Ok(())
+    }
+}
+
+/// Whether a structure has other defaults than Rust's own.
+fn has_defaults(structure: &Structure) -> bool {
+    structure.fields.iter().any(|field| {
+        let value = field.default.as_deref().map(|value| literal(&field.base, value));
+        value.is_some_and(|value| !matches!(value.as_str(), "false" | "0" | "0.0" | "\"\""))
+    })
 }
 
 /// Paths are spelled out from the root of the crate, so that no type of a package hides another.

@@ -138,7 +138,7 @@ fn record(dermis: &Path, bag: &Path, rate: f64, seconds: f64, small: bool) -> Re
         cpu[1] / took
     );
     Ok(json!({
-        "asked_mb_s": rate, "mb_s": reached, "published": published, "recorded": recorded,
+        "target_mb_s": rate, "mb_s": reached, "published": published, "recorded": recorded,
         "dropped_by_recorder": said["dropped"], "lost": published - recorded,
         "stored_share": number(&said, "stored_bytes") / number(&said, "payload_bytes"),
         "recorder_cores": cpu[0] / took, "source_cores": cpu[1] / took,

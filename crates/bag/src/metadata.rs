@@ -140,87 +140,19 @@ impl Metadata {
         if info.as_hash().is_none() {
             return Err(wrong("it has no field rosbag2_bagfile_information".into()));
         }
-        let text_of = |value: &Yaml, field: &str| {
-            value[field]
-                .as_str()
-                .map(str::to_owned)
-                .ok_or_else(|| wrong(format!("field {field} is missing or not text")))
-        };
-        let storage = text_of(info, "storage_identifier")?;
-        if storage != "mcap" {
-            return Err(BagError::Storage {
-                path: path.parent().unwrap_or(path).into(),
-                storage: format!("`{storage}`"),
-            });
-        }
-        if let Some(mode) =
-            info["compression_mode"].as_str().filter(|mode| !mode.is_empty() && *mode != "NONE")
-        {
-            return Err(BagError::Storage {
-                path: path.parent().unwrap_or(path).into(),
-                storage: format!(
-                    "`mcap` with {} compression by {}",
-                    info["compression_format"].as_str().unwrap_or("unknown"),
-                    mode.to_lowercase()
-                ),
-            });
-        }
-        let mut files = Vec::new();
-        let listed = info["relative_file_paths"]
-            .as_vec()
-            .ok_or_else(|| wrong("field relative_file_paths is missing or not a list".into()))?;
-        for entry in listed {
-            let name = entry
-                .as_str()
-                .ok_or_else(|| wrong("relative_file_paths holds an entry that is not text".into()))?;
-            let file = PathBuf::from(name);
-            if file.as_os_str().is_empty()
-                || !file.components().all(|part| matches!(part, Component::Normal(_)))
-            {
-                return Err(wrong(format!(
-                    "relative_file_paths names {name:?}, which lies outside of the bag"
-                )));
-            }
-            files.push(FileMetadata { path: file, span: None, messages: None });
-        }
-        if files.is_empty() {
-            return Err(wrong("relative_file_paths is empty".into()));
-        }
-        let count = |value: &Yaml| {
-            value["message_count"]
-                .as_i64()
-                .and_then(|count| u64::try_from(count).ok())
-                .ok_or_else(|| wrong("field message_count is missing or not a count".into()))
-        };
-        let span_of = |value: &Yaml, messages: u64| {
-            let start = value["starting_time"]["nanoseconds_since_epoch"].as_i64()?;
-            let duration = value["duration"]["nanoseconds"].as_i64()?;
-            (messages > 0).then_some((start, start.saturating_add(duration)))
-        };
-        let messages = count(info)?;
+        let fields = Fields { path, info };
+        fields.check_storage()?;
+        let mut files = fields.files()?;
+        let messages = fields.count(info)?;
         let span = span_of(info, messages);
         for entry in info["files"].as_vec().into_iter().flatten() {
             let path = entry["path"].as_str().map(Path::new);
             if let Some(file) = files.iter_mut().find(|file| Some(file.path.as_path()) == path) {
-                let messages = count(entry)?;
+                let messages = fields.count(entry)?;
                 (file.span, file.messages) = (span_of(entry, messages), Some(messages));
             }
         }
-        let mut topics = Vec::new();
-        for entry in info["topics_with_message_count"].as_vec().into_iter().flatten() {
-            let topic = &entry["topic_metadata"];
-            topics.push(TopicMetadata {
-                name: text_of(topic, "name")?,
-                type_name: text_of(topic, "type")?,
-                encoding: text_of(topic, "serialization_format")?,
-                qos: BagQos::from_yaml(&topic["offered_qos_profiles"]),
-                type_hash: topic["type_description_hash"]
-                    .as_str()
-                    .filter(|hash| !hash.is_empty())
-                    .map(str::to_owned),
-                messages: count(entry)?,
-            });
-        }
+        let topics = fields.topics()?;
         let mut custom = BTreeMap::new();
         for (key, value) in info["custom_data"].as_hash().into_iter().flatten() {
             if let (Some(key), Some(value)) = (key.as_str(), value.as_str()) {
@@ -228,6 +160,97 @@ impl Metadata {
             }
         }
         Ok(Self { files, span, messages, topics, custom })
+    }
+}
+
+/// First and last log time of a file or a bag with so many messages.
+fn span_of(value: &Yaml, messages: u64) -> Option<(i64, i64)> {
+    let start = value["starting_time"]["nanoseconds_since_epoch"].as_i64()?;
+    let duration = value["duration"]["nanoseconds"].as_i64()?;
+    (messages > 0).then_some((start, start.saturating_add(duration)))
+}
+
+/// The fields of a `metadata.yaml`.
+struct Fields<'a> {
+    path: &'a Path,
+    info: &'a Yaml,
+}
+
+impl Fields<'_> {
+    fn wrong(&self, problem: impl Into<String>) -> BagError {
+        BagError::Metadata { path: self.path.into(), problem: problem.into() }
+    }
+
+    fn text(&self, value: &Yaml, field: &str) -> Result<String, BagError> {
+        let missing = || self.wrong(format!("field {field} is missing or not text"));
+        value[field].as_str().map(str::to_owned).ok_or_else(missing)
+    }
+
+    fn count(&self, value: &Yaml) -> Result<u64, BagError> {
+        let count = value["message_count"].as_i64().and_then(|count| u64::try_from(count).ok());
+        count.ok_or_else(|| self.wrong("field message_count is missing or not a count"))
+    }
+
+    /// Refuses a storage or compression that is not read here.
+    fn check_storage(&self) -> Result<(), BagError> {
+        let refused = |storage: String| BagError::Storage {
+            path: self.path.parent().unwrap_or(self.path).into(),
+            storage,
+        };
+        let storage = self.text(self.info, "storage_identifier")?;
+        if storage != "mcap" {
+            return Err(refused(format!("`{storage}`")));
+        }
+        let mode = self.info["compression_mode"].as_str().unwrap_or_default();
+        if !mode.is_empty() && mode != "NONE" {
+            let format = self.info["compression_format"].as_str().unwrap_or("unknown");
+            return Err(refused(format!("`mcap` with {format} compression by {}", mode.to_lowercase())));
+        }
+        Ok(())
+    }
+
+    /// The files of the bag, by their names alone.
+    fn files(&self) -> Result<Vec<FileMetadata>, BagError> {
+        let listed = self.info["relative_file_paths"]
+            .as_vec()
+            .ok_or_else(|| self.wrong("field relative_file_paths is missing or not a list"))?;
+        let mut files = Vec::new();
+        for entry in listed {
+            let name = entry
+                .as_str()
+                .ok_or_else(|| self.wrong("relative_file_paths holds an entry that is not text"))?;
+            let path = PathBuf::from(name);
+            if path.as_os_str().is_empty()
+                || !path.components().all(|part| matches!(part, Component::Normal(_)))
+            {
+                let problem = format!("relative_file_paths names {name:?}, which lies outside of the bag");
+                return Err(self.wrong(problem));
+            }
+            files.push(FileMetadata { path, span: None, messages: None });
+        }
+        if files.is_empty() {
+            return Err(self.wrong("relative_file_paths is empty"));
+        }
+        Ok(files)
+    }
+
+    fn topics(&self) -> Result<Vec<TopicMetadata>, BagError> {
+        let mut topics = Vec::new();
+        for entry in self.info["topics_with_message_count"].as_vec().into_iter().flatten() {
+            let topic = &entry["topic_metadata"];
+            topics.push(TopicMetadata {
+                name: self.text(topic, "name")?,
+                type_name: self.text(topic, "type")?,
+                encoding: self.text(topic, "serialization_format")?,
+                qos: BagQos::from_yaml(&topic["offered_qos_profiles"]),
+                type_hash: topic["type_description_hash"]
+                    .as_str()
+                    .filter(|hash| !hash.is_empty())
+                    .map(str::to_owned),
+                messages: self.count(entry)?,
+            });
+        }
+        Ok(topics)
     }
 }
 

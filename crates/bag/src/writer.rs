@@ -3,7 +3,7 @@
 use std::{
     collections::BTreeMap,
     fs::File,
-    io::{self, BufWriter, Seek, SeekFrom, Write},
+    io::{self, BufWriter},
     path::{Path, PathBuf},
     sync::{
         Arc,
@@ -25,43 +25,14 @@ use crate::{
 pub use options::{BagOptions, Compression};
 
 mod options;
+mod out;
 mod parts;
+use out::Out;
 use parts::write_metadata_file;
 
 /// A topic that was declared to a [`BagWriter`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct TopicId(usize);
-
-/// A file that is only appended to, and knows its length without asking the system.
-struct Out {
-    file: BufWriter<Patient<File>>,
-    written: u64,
-    /// [`Self::written`], for the writer of the bag.
-    length: Arc<AtomicU64>,
-}
-
-impl Write for Out {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let count = self.file.write(bytes)?;
-        self.written += count as u64;
-        self.length.store(self.written, Ordering::Relaxed);
-        Ok(count)
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        self.file.flush()
-    }
-}
-
-impl Seek for Out {
-    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
-        match to {
-            SeekFrom::Current(0) => Ok(self.written),
-            SeekFrom::Start(at) if at == self.written => Ok(at),
-            _ => Err(io::Error::new(io::ErrorKind::Unsupported, "a bag is only appended to")),
-        }
-    }
-}
 
 struct TopicState {
     topic: Topic,

@@ -52,13 +52,18 @@ struct Skin {
     fields: Vec<(f64, Field)>,
     /// \[1\] that the layer thickens along each axis.
     wedge: Vector2<f64>,
-    /// Where the rig really is, compared to where it says.
+    rig: RigError,
+    /// Place \[m\] and loss of a cavity.
+    cavity: Option<(Vector2<f64>, f64)>,
+}
+
+/// Where the rig really presses, compared to where it says.
+#[derive(Debug)]
+struct RigError {
     shift: Vector2<f64>,
     turn: Rotation2<f64>,
     /// \[m\] from the middle of the tip to the points where it presses.
     fork: Vector2<f64>,
-    /// Place \[m\] and loss of a cavity.
-    cavity: Option<(Vector2<f64>, f64)>,
 }
 
 /// The reference device.
@@ -116,68 +121,118 @@ impl LayerDevice {
             return Err(wrong("medium.edge", "is \"free\", and layers here go on beyond it: take \"wide\""));
         }
         let drawn = crate::number(skin, "thickness")?;
-        let mut elements: Vec<Point3<f64>> =
-            skin.channel_taxels().into_iter().map(|t| skin.taxels[t].point()).collect();
-        let mean = -elements.iter().map(|e| e.z).sum::<f64>() / elements.len() as f64;
-        if !(mean > 2.0 * AROUND * 0.6 && mean < drawn) {
-            return Err(wrong("taxels", "do not lie between the surface and the base"));
-        }
-        if let Some((cause, deviation)) = causes.get("displaced-elements") {
-            let off = cause.normals(3 * elements.len());
-            for (element, off) in elements.iter_mut().zip(off.chunks(3)) {
-                *element += Vector3::new(off[0], off[1], 0.5 * off[2]) * deviation;
-                element.z = element.z.clamp(-mean - AROUND, -mean + AROUND);
-            }
-        }
-        for element in &mut elements {
-            element.z = (element.z + causes.size("built-depth")).clamp(-mean - AROUND, -mean + AROUND);
-        }
-        let middle = elements.iter().map(|e| e.xy().coords).sum::<Vector2<f64>>() / elements.len() as f64;
-        for element in &mut elements {
-            let away = (element.xy().coords - middle) * causes.size("built-pitch");
-            *element += Vector3::new(away.x, away.y, 0.0);
-        }
-        let poisson = crate::number(skin, "poisson_ratio")? * (1.0 - causes.size("built-poisson"));
-        let poisson = poisson.min(0.4995);
-        let slip = match skin.medium.get("base") {
-            Some(toml::Value::String(base)) if base == "slip" => 1.0,
-            Some(toml::Value::Float(share)) => *share,
-            _ => 0.0,
-        };
-        let thickness = drawn * (1.0 + causes.size("built-thickness")) + causes.size("other-thickness");
-        let layer = Layer {
-            thickness,
-            poisson,
-            grade: causes.size("uneven-cure"),
-            slip: slip + (1.0 - slip) * causes.size("loose-base"),
-            elements: numerics.elements,
-        };
+        let (elements, mean) = elements(skin, &causes, drawn)?;
+        let layer = layer(skin, numerics, &causes, drawn)?;
         let tip = Tip {
             radius: causes.size("other-tip"),
             young: crate::number(skin, "young_modulus")? * (1.0 + causes.size("other-modulus")),
-            poisson,
-            thickness,
+            poisson: layer.poisson,
+            thickness: layer.thickness,
             sphere: numerics.sphere,
         };
-        let grain = Grain { period: numerics.period, shortest: 2500.0, elements: numerics.elements };
-        let range = ([mean - AROUND - 0.0005, mean + AROUND], 0.004, REACH);
-        let profile = if numerics.flattening { Profile::Flattening(0.002) } else { Profile::Ellipsoid };
-        let lid = causes.size("wide-port");
-        let field = |thickness: f64| {
-            let layer = Layer { thickness, ..layer.clone() };
-            (thickness, Field::new(&layer, grain, profile, range, lid))
+        let (fields, wedge) = fields(&layer, numerics, &causes, mean);
+        let cavity = causes.get("cavity").map(|(cause, loss)| (cavity_at(&elements, cause), loss));
+        let skin = Skin {
+            surface: skin.surface(),
+            noise: skin.channel_noise(),
+            range: skin.channels().iter().map(|c| c.range).collect(),
+            elements,
+            tip,
+            nearer: numerics.nearer,
+            fields,
+            wedge,
+            rig: RigError::of(&causes, size[1] > 0.004),
+            cavity,
         };
-        let mut wedge = Vector2::zeros();
-        let mut fields = vec![field(thickness)];
-        if let Some((cause, change)) = causes.get("other-thickness") {
-            // A tenth of the change for every 10 mm.
-            let turn = cause.rng().random_range(0.0..std::f64::consts::TAU);
-            wedge = Vector2::new(turn.cos(), turn.sin()) * change * 10.0;
-            let away = 0.3 * change.abs();
-            fields.insert(0, field(thickness - away));
-            fields.push(field(thickness + away));
+        Ok(Self { skin: Arc::new(skin), causes })
+    }
+}
+
+/// Where the elements lie in this reference device, and how deep they lie on average by design \[m\]; `drawn` \[m\] is the thickness of
+/// the layer by design.
+fn elements(
+    skin: &SkinDescription,
+    causes: &Causes,
+    drawn: f64,
+) -> Result<(Vec<Point3<f64>>, f64), BenchmarkError> {
+    let mut elements: Vec<Point3<f64>> =
+        skin.channel_taxels().into_iter().map(|t| skin.taxels[t].point()).collect();
+    let mean = -elements.iter().map(|e| e.z).sum::<f64>() / elements.len() as f64;
+    if !(mean > 2.0 * AROUND * 0.6 && mean < drawn) {
+        return Err(BenchmarkError::skin(skin, "taxels", "do not lie between the surface and the base"));
+    }
+    if let Some((cause, deviation)) = causes.get("displaced-elements") {
+        let off = cause.normals(3 * elements.len());
+        for (element, off) in elements.iter_mut().zip(off.chunks(3)) {
+            *element += Vector3::new(off[0], off[1], 0.5 * off[2]) * deviation;
+            element.z = element.z.clamp(-mean - AROUND, -mean + AROUND);
         }
-        let wide = size[1] > 0.004;
+    }
+    for element in &mut elements {
+        element.z = (element.z + causes.size("built-depth")).clamp(-mean - AROUND, -mean + AROUND);
+    }
+    let middle = elements.iter().map(|e| e.xy().coords).sum::<Vector2<f64>>() / elements.len() as f64;
+    for element in &mut elements {
+        let away = (element.xy().coords - middle) * causes.size("built-pitch");
+        *element += Vector3::new(away.x, away.y, 0.0);
+    }
+    Ok((elements, mean))
+}
+
+/// The layer of this reference device; `drawn` \[m\] is its thickness by design.
+fn layer(
+    skin: &SkinDescription,
+    numerics: &Numerics,
+    causes: &Causes,
+    drawn: f64,
+) -> Result<Layer, BenchmarkError> {
+    let poisson = crate::number(skin, "poisson_ratio")? * (1.0 - causes.size("built-poisson"));
+    let slip = match skin.medium.get("base") {
+        Some(toml::Value::String(base)) if base == "slip" => 1.0,
+        Some(toml::Value::Float(share)) => *share,
+        _ => 0.0,
+    };
+    Ok(Layer {
+        thickness: drawn * (1.0 + causes.size("built-thickness")) + causes.size("other-thickness"),
+        poisson: poisson.min(0.4995),
+        grade: causes.size("uneven-cure"),
+        slip: slip + (1.0 - slip) * causes.size("loose-base"),
+        elements: numerics.elements,
+    })
+}
+
+/// Fields of the layer by the thickness \[m\] that each is of, and how much \[1\] it thickens along each axis; `mean` \[m\] is how deep
+/// elements lie.
+fn fields(
+    layer: &Layer,
+    numerics: &Numerics,
+    causes: &Causes,
+    mean: f64,
+) -> (Vec<(f64, Field)>, Vector2<f64>) {
+    let grain = Grain { period: numerics.period, shortest: 2500.0, elements: numerics.elements };
+    let range = ([mean - AROUND - 0.0005, mean + AROUND], 0.004, REACH);
+    let profile = if numerics.flattening { Profile::Flattening(0.002) } else { Profile::Ellipsoid };
+    let lid = causes.size("wide-port");
+    let field = |thickness: f64| {
+        let layer = Layer { thickness, ..layer.clone() };
+        (thickness, Field::new(&layer, grain, profile, range, lid))
+    };
+    let mut wedge = Vector2::zeros();
+    let mut fields = vec![field(layer.thickness)];
+    if let Some((cause, change)) = causes.get("other-thickness") {
+        // A tenth of the change for every 10 mm.
+        let turn = cause.rng().random_range(0.0..std::f64::consts::TAU);
+        wedge = Vector2::new(turn.cos(), turn.sin()) * change * 10.0;
+        let away = 0.3 * change.abs();
+        fields.insert(0, field(layer.thickness - away));
+        fields.push(field(layer.thickness + away));
+    }
+    (fields, wedge)
+}
+
+impl RigError {
+    /// On a surface that is not `wide` a rig is off along it.
+    fn of(causes: &Causes, wide: bool) -> Self {
         let direction = |cause: &Cause| {
             let most = if wide { std::f64::consts::PI } else { 0.5 };
             let turn = cause.rng().random_range(-most..most);
@@ -190,22 +245,7 @@ impl LayerDevice {
         }
         let fork =
             causes.get("forked-tip").map_or_else(Vector2::zeros, |(c, away)| direction(c) * away / 2.0);
-        let cavity = causes.get("cavity").map(|(cause, loss)| (cavity_at(&elements, cause), loss));
-        let skin = Skin {
-            surface: skin.surface(),
-            noise: skin.channel_noise(),
-            range: skin.channels().iter().map(|c| c.range).collect(),
-            elements,
-            tip,
-            nearer: numerics.nearer,
-            fields,
-            wedge,
-            shift,
-            turn,
-            fork,
-            cavity,
-        };
-        Ok(Self { skin: Arc::new(skin), causes })
+        Self { shift, turn, fork }
     }
 }
 
@@ -220,12 +260,13 @@ impl Skin {
         let pressing = -contact.force.z;
         let along = contact.force.xy();
         let said = contact.position.xy().coords;
-        let middle = self.turn * said + self.shift;
+        let RigError { shift, turn, fork } = self.rig;
+        let middle = turn * said + shift;
         let (forks, share): (&[f64], f64) =
-            if self.fork == Vector2::zeros() { (&[0.0], 1.0) } else { (&[-1.0, 1.0], 0.5) };
+            if fork == Vector2::zeros() { (&[0.0], 1.0) } else { (&[-1.0, 1.0], 0.5) };
         let (a, depth) = self.tip(contact.diameter()).under(pressing * share);
-        for fork in forks {
-            let at = middle + self.fork * *fork;
+        for side in forks {
+            let at = middle + fork * *side;
             for (value, element) in out.iter_mut().zip(&self.elements) {
                 let to = element.xy().coords - at;
                 let distance = to.norm();

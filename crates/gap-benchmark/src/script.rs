@@ -72,19 +72,17 @@ const QUIET: f64 = 3.0;
 /// Locations of the other parts are counted from here on, so that no two locations share a number.
 const LOCATIONS: u32 = 1000;
 
-impl Script {
-    /// Draws a script: a part of the contacts is done twice in the first session and once in the second, some are held for long,
-    /// the second session is quicker, and between the presses nothing touches.
-    ///
-    /// # Errors
-    ///
-    /// [`BenchmarkError::Testbed`] where no place of the skin is far enough from its rim for it.
-    pub fn draw(
-        model: &Arc<dyn ForwardModel>,
-        rig: &Rig,
-        climate: Climate,
-        seed: u64,
-    ) -> Result<Self, BenchmarkError> {
+/// Presses of one session with one timing; both in the words of a plan.
+struct Part {
+    session: usize,
+    seed: u64,
+    timing: String,
+    steps: String,
+}
+
+impl Part {
+    /// The parts of a script, in their order. Locations, forces and speeds are the same in all parts of one seed.
+    fn all(rig: &Rig, seed: u64) -> [Self; 5] {
         let count = |usual: f64| (usual * rig.size).round().max(2.0) as u32;
         let [low, high] = rig.force;
         let presses = |count: u32, extra: &str| {
@@ -106,42 +104,55 @@ impl Script {
                 "[timing]\napproach = [0.05, 0.05]\nload = {load:?}\nhold = {hold:?}\nunload = {load:?}\ngap = [0.2, 0.3]\n"
             )
         };
-        // The same locations, forces and speeds in both: the same seed.
-        let again = timing([0.2, 0.2], [0.3, 0.3]).replace("[0.2, 0.3]", "[0.25, 0.25]");
-        let slow = timing([0.15, 0.5], [0.1, 0.5]);
-        let fast = timing([0.04, 0.2], [0.1, 0.3]);
-        let parts = [
-            (0, seed, again.clone(), presses(count(14.0), "")),
-            (0, seed, again.clone(), presses(count(14.0), "")),
-            (
-                0,
-                seed ^ 0x51,
-                slow,
-                presses(count(44.0), "") + &presses(count(8.0), "hold = [2.0, 3.0]\n") + &slides,
-            ),
-            (1, seed, again, presses(count(14.0), "")),
-            (1, seed ^ 0x52, fast, presses(count(50.0), "") + &slides),
-        ];
+        let again = |session: usize| Self {
+            session,
+            seed,
+            timing: timing([0.2, 0.2], [0.3, 0.3]).replace("[0.2, 0.3]", "[0.25, 0.25]"),
+            steps: presses(count(14.0), ""),
+        };
+        let slow = Self {
+            session: 0,
+            seed: seed ^ 0x51,
+            timing: timing([0.15, 0.5], [0.1, 0.5]),
+            steps: presses(count(44.0), "") + &presses(count(8.0), "hold = [2.0, 3.0]\n") + &slides,
+        };
+        let fast = Self {
+            session: 1,
+            seed: seed ^ 0x52,
+            timing: timing([0.04, 0.2], [0.1, 0.3]),
+            steps: presses(count(50.0), "") + &slides,
+        };
+        [again(0), again(0), slow, again(1), fast]
+    }
+}
+
+impl Script {
+    /// Draws a script: a part of the contacts is done twice in the first session and once in the second, some are held for long,
+    /// the second session is quicker, and between the presses nothing touches.
+    ///
+    /// # Errors
+    ///
+    /// [`BenchmarkError::Testbed`] where no place of the skin is far enough from its rim for it.
+    pub fn draw(
+        model: &Arc<dyn ForwardModel>,
+        rig: &Rig,
+        climate: Climate,
+        seed: u64,
+    ) -> Result<Self, BenchmarkError> {
         let step = 1.0 / rig.rate;
         let mut script = Self { step, instants: Vec::new(), quiet: 0 };
         let (mut time, mut press) = (0.0, 0);
         let mut session = 0;
-        let rest = |script: &mut Self, time: &mut f64, session: usize, press: u64| {
-            for _ in 0..(QUIET / step) as usize {
-                let moment = GroundTruth { press, phase: Phase::Idle, ..GroundTruth::default() };
-                script.instants.push(Instant { time: *time, session, moment });
-                *time += step;
-            }
-        };
-        rest(&mut script, &mut time, 0, 0);
+        script.rest(&mut time, 0, 0);
         script.quiet = script.instants.len();
-        for (index, (of, seed, timing, steps)) in parts.into_iter().enumerate() {
-            if of != session {
-                rest(&mut script, &mut time, session, press);
-                session = of;
+        for (index, part) in Part::all(rig, seed).into_iter().enumerate() {
+            if part.session != session {
+                script.rest(&mut time, session, press);
+                session = part.session;
                 time += BREAK;
-                rest(&mut script, &mut time, session, press);
+                script.rest(&mut time, session, press);
             }
+            let Part { seed, timing, steps, .. } = part;
             let text = format!(
                 "schema = \"dermis-plan/1\"\nname = \"part-{index}\"\ndiameter = {:?}\nmargin = {:?}\nforce_distribution = \"uniform\"\n{timing}{steps}",
                 rig.diameter, rig.margin
@@ -164,9 +175,18 @@ impl Script {
             }
             press += timeline.presses();
         }
-        rest(&mut script, &mut time, session, press);
+        script.rest(&mut time, session, press);
         script.warm(climate);
         Ok(script)
+    }
+
+    /// Appends untouched instants after so many presses, and moves the time on.
+    fn rest(&mut self, time: &mut f64, session: usize, press: u64) {
+        for _ in 0..(QUIET / self.step) as usize {
+            let moment = GroundTruth { press, phase: Phase::Idle, ..GroundTruth::default() };
+            self.instants.push(Instant { time: *time, session, moment });
+            *time += self.step;
+        }
     }
 
     /// A plan that somebody asked for, in one session at the temperature that stimuli have by default.

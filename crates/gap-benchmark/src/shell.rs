@@ -95,69 +95,16 @@ impl ShellDevice {
         numerics: &Numerics,
         causes: &[Cause],
     ) -> Result<Self, BenchmarkError> {
-        let wrong = |field: &str, reason: &str| BenchmarkError::skin(skin, field, reason);
         let causes = Causes::new(causes::CAUSES, causes)?;
         let shape = Shape::of(&skin.surface).ok_or_else(|| crate::unlike(skin))?;
         let wall = crate::number(skin, "thickness")? * (1.0 + causes.size("built-wall"));
         let young = crate::number(skin, "young_modulus")? * (1.0 + causes.size("stiffer-wall"));
-        let size = match skin.medium.get("gauge").and_then(|g| g.as_array()).map(Vec::as_slice) {
-            Some([along, across]) => [along, across].map(|v| v.as_float().unwrap_or(0.005)),
-            _ => return Err(wrong("medium.gauge", "is missing: two lengths along and across the axis")),
-        };
-        let size = size.map(|v| v * (1.0 + causes.size("built-gauge")));
-        let mut gauges = Vec::new();
-        for index in skin.channel_taxels() {
-            let taxel = &skin.taxels[index];
-            let axis = taxel.axis.ok_or_else(|| wrong("taxels", "have no `axis`, as gauges need"))?;
-            let [x, y, z] = taxel.position;
-            let angle = y.atan2(z);
-            let tangent = Vector3::new(0.0, angle.cos(), -angle.sin());
-            let turn = Vector3::from(axis).dot(&tangent).atan2(axis[0]);
-            gauges.push(Gauge {
-                at: [x, shape.radius * angle],
-                angle: turn,
-                size,
-                across: causes.size("strain-across"),
-            });
-        }
-        let count = gauges.len();
-        if let Some((cause, deviation)) = causes.get("displaced-gauges") {
-            for (gauge, off) in gauges.iter_mut().zip(cause.normals(2 * count).chunks(2)) {
-                gauge.at[0] += deviation * off[0];
-                gauge.at[1] += deviation * off[1];
-            }
-        }
-        if let Some((cause, deviation)) = causes.get("turned-gauges") {
-            gauges.iter_mut().zip(cause.normals(count)).for_each(|(g, n)| g.angle += deviation * n);
-        }
-        let waves: Vec<[f64; 4]> = causes.get("uneven-wall").map_or_else(Vec::new, |(cause, deviation)| {
-            let mut rng = cause.rng();
-            let wave = |_| {
-                let turn = rng.random_range(0.0..std::f64::consts::TAU);
-                let number = std::f64::consts::TAU / rng.random_range(0.04..0.12);
-                [
-                    number * f64::cos(turn),
-                    number * f64::sin(turn),
-                    rng.random_range(0.0..6.3),
-                    deviation * 0.6,
-                ]
-            };
-            (0..6).map(wave).collect()
-        });
-        let broken = causes.get("broken-beam").map(|(cause, loss)| (thin_at(&shape, cause), loss));
-        let thickness = |at: [f64; 2]| {
-            let wave = |w: &[f64; 4]| w[3] * (w[0] * at[0] + w[1] * at[1] + w[2]).cos();
-            let mut here = 1.0 + waves.iter().map(wave).sum::<f64>();
-            if let Some((place, loss)) = &broken {
-                let off = (at[0] - place[0]).hypot(at[1] - place[1]) / THIN;
-                here *= 1.0 - loss * (-off * off).exp();
-            }
-            wall * here.clamp(0.15, 3.0)
-        };
+        let gauges = gauges(skin, &causes, &shape)?;
         let clamp = match causes.size("yielding-clamp") {
             decades if decades > 0.0 => 1e11 * 10f64.powf(-decades),
             _ => 1e12,
         };
+        let relief = Relief::of(&causes, &shape);
         let influence = Influence::new(
             shape,
             &Build {
@@ -165,14 +112,14 @@ impl ShellDevice {
                     young: [young, young * (1.0 - causes.size("printed-direction"))],
                     poisson: crate::number(skin, "poisson_ratio")? * (1.0 - causes.size("built-poisson")),
                 },
-                thickness: &thickness,
+                thickness: &|at: [f64; 2]| wall * relief.at(at),
                 wall,
                 clamp,
                 spacing: shape.size[0] * 0.4 / numerics.elements as f64,
             },
             &gauges,
         )
-        .ok_or_else(|| wrong("surface", "makes a shell that cannot be solved"))?;
+        .ok_or_else(|| BenchmarkError::skin(skin, "surface", "makes a shell that cannot be solved"))?;
         let askew = causes.get("askew-tip").map_or([0.0; 2], |(cause, angle)| {
             let (sin, cos) = cause.rng().random_range(0.0..std::f64::consts::TAU).sin_cos();
             [angle.tan() * cos, angle.tan() * sin]
@@ -190,6 +137,81 @@ impl ShellDevice {
             askew,
         };
         Ok(Self { panel: Arc::new(panel), causes })
+    }
+}
+
+/// The gauges as they are glued on in this reference device.
+fn gauges(skin: &SkinDescription, causes: &Causes, shape: &Shape) -> Result<Vec<Gauge>, BenchmarkError> {
+    let wrong = |field: &str, reason: &str| BenchmarkError::skin(skin, field, reason);
+    let size = match skin.medium.get("gauge").and_then(|g| g.as_array()).map(Vec::as_slice) {
+        Some([along, across]) => [along, across].map(|v| v.as_float().unwrap_or(0.005)),
+        _ => return Err(wrong("medium.gauge", "is missing: two lengths along and across the axis")),
+    };
+    let size = size.map(|v| v * (1.0 + causes.size("built-gauge")));
+    let mut gauges = Vec::new();
+    for index in skin.channel_taxels() {
+        let taxel = &skin.taxels[index];
+        let axis = taxel.axis.ok_or_else(|| wrong("taxels", "have no `axis`, as gauges need"))?;
+        let [x, y, z] = taxel.position;
+        let angle = y.atan2(z);
+        let tangent = Vector3::new(0.0, angle.cos(), -angle.sin());
+        let turn = Vector3::from(axis).dot(&tangent).atan2(axis[0]);
+        gauges.push(Gauge {
+            at: [x, shape.radius * angle],
+            angle: turn,
+            size,
+            across: causes.size("strain-across"),
+        });
+    }
+    let count = gauges.len();
+    if let Some((cause, deviation)) = causes.get("displaced-gauges") {
+        for (gauge, off) in gauges.iter_mut().zip(cause.normals(2 * count).chunks(2)) {
+            gauge.at[0] += deviation * off[0];
+            gauge.at[1] += deviation * off[1];
+        }
+    }
+    if let Some((cause, deviation)) = causes.get("turned-gauges") {
+        gauges.iter_mut().zip(cause.normals(count)).for_each(|(g, n)| g.angle += deviation * n);
+    }
+    Ok(gauges)
+}
+
+/// How the thickness of the wall varies over it, as a share of its nominal one.
+struct Relief {
+    /// Wave numbers \[1/m\] along x and the arc, phase and amplitude.
+    waves: Vec<[f64; 4]>,
+    /// Place \[m\] and loss of a broken beam.
+    broken: Option<([f64; 2], f64)>,
+}
+
+impl Relief {
+    fn of(causes: &Causes, shape: &Shape) -> Self {
+        let waves: Vec<[f64; 4]> = causes.get("uneven-wall").map_or_else(Vec::new, |(cause, deviation)| {
+            let mut rng = cause.rng();
+            let wave = |_| {
+                let turn = rng.random_range(0.0..std::f64::consts::TAU);
+                let number = std::f64::consts::TAU / rng.random_range(0.04..0.12);
+                [
+                    number * f64::cos(turn),
+                    number * f64::sin(turn),
+                    rng.random_range(0.0..6.3),
+                    deviation * 0.6,
+                ]
+            };
+            (0..6).map(wave).collect()
+        });
+        let broken = causes.get("broken-beam").map(|(cause, loss)| (thin_at(shape, cause), loss));
+        Self { waves, broken }
+    }
+
+    fn at(&self, at: [f64; 2]) -> f64 {
+        let wave = |w: &[f64; 4]| w[3] * (w[0] * at[0] + w[1] * at[1] + w[2]).cos();
+        let mut here = 1.0 + self.waves.iter().map(wave).sum::<f64>();
+        if let Some((place, loss)) = &self.broken {
+            let off = (at[0] - place[0]).hypot(at[1] - place[1]) / THIN;
+            here *= 1.0 - loss * (-off * off).exp();
+        }
+        here.clamp(0.15, 3.0)
     }
 }
 

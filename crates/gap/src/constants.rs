@@ -13,6 +13,9 @@
 //! table in `experiments.rs`. What a user may set stands in [`SelectOptions`](crate::SelectOptions) and
 //! [`SampleOptions`](crate::SampleOptions); its defaults are here.
 
+pub(crate) mod calibrate;
+pub(crate) mod protocol;
+
 /// Reading bags.
 pub(crate) mod reading {
     /// \[m\] off the surface that a true contact may lie before its frame is doubted: errors of a stage and a mould. Chosen.
@@ -293,7 +296,7 @@ pub(crate) mod select {
     pub const PRIOR: f64 = 0.05;
     /// Share of the energy of an effect that its law leaves at least: a fifth of the amplitude. Calibrated.
     pub const LAW: f64 = 0.04;
-    /// Share of the Bayesian information criterion's price of a column that is asked (Schwarz 1978): cross-validation has paid some
+    /// Share of the Bayesian information criterion's price of a column that is charged (Schwarz 1978): cross-validation has paid some
     /// of it. Calibrated.
     pub const OCCAM: f64 = 0.5;
     /// Margins that a gap must exceed with certainty for any firm name. Calibrated.
@@ -306,7 +309,7 @@ pub(crate) mod select {
     pub const MANY: usize = 6;
     /// The same of one that drifts randomly, which can follow the temperature as well. Calibrated.
     pub const MANY_DRIFTING: usize = 12;
-    /// Multiple of the firm threshold beyond which the permutation test is not asked. Chosen.
+    /// Multiple of the firm threshold beyond which the permutation test is not run. Chosen.
     pub const BEYOND_TEST: f64 = 3.0;
     /// Multiple of the level at which permutations end early: enough is known. Chosen.
     pub const ENOUGH: f64 = 4.0;
@@ -431,39 +434,6 @@ pub(crate) mod contest {
     pub const IMPLAUSIBLE: f64 = 0.1;
 }
 
-/// Calibration of "unknown".
-pub(crate) mod calibrate {
-    /// Energy of what causes of trials change, as a share of that of signals: least and most. Chosen: one to ten margins.
-    pub const SIZES: [f64; 2] = [0.005, 0.08];
-    /// Root mean square by which another law of an effect differs from its own. Chosen: what selection takes laws to be known to.
-    pub const LAW: f64 = 0.2;
-    /// Standard deviation of numbers of the medium and the tip, in tolerances. Chosen: half of devices lie within a third of one.
-    pub const OFF: f64 = 0.5;
-    /// Share of all readings at power-on that a warm-up is drawn with (standard deviation), its least value, and its time constant \[s\].
-    /// Chosen.
-    pub const WARM_UP: [f64; 3] = [0.2, -0.5, 300.0];
-    /// Standard deviation of a number of the description that is off, in large changes of it. Chosen.
-    pub const NUMBER: f64 = 0.5;
-    /// Rounds in which an effect is scaled to the energy that is wanted, and the logarithm of the ratio that is near enough. Chosen.
-    pub const SCALINGS: usize = 3;
-    /// See [`SCALINGS`].
-    pub const NEAR: f64 = 0.2;
-    /// Least and largest factor of that scaling. Chosen.
-    pub const SCALE: [f64; 2] = [1e-3, 4.0];
-    /// Share of the gap from which on factors count. Chosen.
-    pub const SMALL: f64 = 0.01;
-    /// Ridge of the regression, in trials. Chosen.
-    pub const RIDGE: f64 = 3.0;
-    /// Rounds of Newton's method. Chosen.
-    pub const ROUNDS: usize = 30;
-    /// Folds of its cross-validation. Chosen.
-    pub const FOLDS: usize = 5;
-    /// Share of known causes whose names may be firm. Chosen: a right name that is not firm costs a press, a wrong one that is costs trust.
-    pub const FIRM: f64 = 0.8;
-    /// Share of known causes that are not called unknown. Issue: at most 2 % are.
-    pub const KNOWN: f64 = 0.98;
-}
-
 /// What could be explained at all.
 pub(crate) mod explainability {
     /// Samples that are predicted, at most. Chosen.
@@ -484,35 +454,6 @@ pub(crate) mod experiments {
     pub const SETTLED: f64 = 0.01;
     /// Experiments that are listed. Chosen.
     pub const LISTED: usize = 5;
-}
-
-/// Presses to come.
-pub(crate) mod protocol {
-    /// Points of a surface that locations are chosen from, about. Chosen: bounds the responses of the model.
-    pub const CANDIDATES: usize = 400;
-    /// Share of the largest signal that a place must give to be pressed. Chosen.
-    pub const SEEN: f64 = 0.02;
-    /// \[s\] from one place to the next, on a rig with motors. Chosen.
-    pub const MOVE: f64 = 2.0;
-    /// \[s\] to change the tip once. Chosen.
-    pub const TIP_CHANGE: f64 = 20.0;
-    /// Locations whose presses are compared by a design. Chosen: bounds the simulations.
-    pub const LOCATIONS: usize = 24;
-    /// Directions that a rival is fitted in, at most. Chosen.
-    pub const COLUMNS: usize = 24;
-    /// Effects that stand as rivals beside what a report names. Chosen.
-    pub const SUSPECTS: usize = 4;
-    /// Probability of confusion that is assumed of such a rival where nothing is named for sure, for which no report says one. Chosen.
-    pub const SUSPECTED: f64 = 0.25;
-    /// The same where a name is firm: firm names were right in 0.73 of the cases that others made. Chosen.
-    pub const FIRM: f64 = 0.05;
-    /// Share of the minutes that serves what no hypothesis explains: at least and at most. Chosen.
-    pub const UNKNOWN: [f64; 2] = [0.15, 0.7];
-    /// Share of what a hypothesis changes that its rival may leave over all presses of the menu for both to be one thing: one minus the share
-    /// that makes two signatures one. Chosen.
-    pub const ALIKE: f64 = 0.03;
-    /// Probability of confusion that remains after all presses of the menu at all locations where a rig cannot tell two names. Chosen.
-    pub const UNTELLABLE: f64 = 0.2;
 }
 
 /// 95 % and 90 % of a normal distribution, half widths in standard deviations.

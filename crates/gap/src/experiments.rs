@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::sync::atomic::AtomicBool;
 
 use dermis_model::{Indentation, Stimulus};
-use dermis_skin::{Effect, Phase};
+use dermis_skin::{Effect, Phase, Surface};
 use indicatif::ProgressBar;
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -33,7 +33,7 @@ pub struct Experiment {
     pub p_confuse_after: f64,
 }
 
-/// One press of an experiment: place, force \[N\], tip \[m\], and seconds to load, hold, unload and rest.
+/// One press of an experiment: positions, force \[N\], tip \[m\], and seconds to load, hold, unload and rest.
 struct Press {
     at: Vec<Point3<f64>>,
     force: f64,
@@ -55,7 +55,7 @@ struct Menu {
 }
 
 /// How far an experiment puts two members apart.
-struct Told {
+struct Separability {
     pair: (usize, usize),
     /// In deviations squared.
     apart: f64,
@@ -80,9 +80,9 @@ pub fn rank(
     let middle = held[held.len() / 2];
     // Presses to come are simulated as they will be read; trust in a model goes with what touches make of it.
     let zero = simulator.zero_level(&Recording::default()).unwrap_or_default();
-    let mut told: Vec<(Menu, Vec<Told>)> = Vec::new();
+    let mut separabilities: Vec<(Menu, Vec<Separability>)> = Vec::new();
     for menu in menu(simulator, middle, force) {
-        let Some((recording, samples)) = carried_out(simulator, &menu) else { continue };
+        let (recording, samples) = carried_out(simulator, &menu);
         let skins: Vec<_> = members.iter().map(|(_, effects)| simulator.with(effects)).collect();
         let hidden = ProgressBar::hidden();
         let Ok(read) = simulator.many(&skins, &recording, (&samples, true), stop, &hidden) else { continue };
@@ -104,23 +104,23 @@ pub fn rank(
                     .sum();
                 // What is wrong with a model is wrong in all frames of a press alike.
                 let frames = x.len() as f64 / noise.len() as f64 / menu.presses.len().max(1) as f64;
-                pairs.push(Told { pair: (a, b), apart: apart / frames.max(1.0) });
+                pairs.push(Separability { pair: (a, b), apart: apart / frames.max(1.0) });
             }
         }
-        told.push((menu, pairs));
+        separabilities.push((menu, pairs));
     }
     // Two that nothing on the menu tells apart are two names of one thing: no experiment is for them.
     let confusion = |apart: f64| normal(-apart.sqrt() / 2.0);
-    let tellable: BTreeSet<(usize, usize)> = told
+    let tellable: BTreeSet<(usize, usize)> = separabilities
         .iter()
         .flat_map(|(_, pairs)| pairs)
         .filter(|t| confusion(t.apart) < UNTELLABLE)
         .map(|t| t.pair)
         .collect();
     let mut found = Vec::new();
-    for (menu, pairs) in &told {
+    for (menu, pairs) in &separabilities {
         let of = pairs.iter().filter(|t| tellable.contains(&t.pair));
-        if let Some(Told { pair: (a, b), apart }) = of.min_by(|s, t| s.apart.total_cmp(&t.apart)) {
+        if let Some(Separability { pair: (a, b), apart }) = of.min_by(|s, t| s.apart.total_cmp(&t.apart)) {
             found.push((
                 apart / menu.minutes,
                 Experiment {
@@ -222,16 +222,12 @@ fn menu(simulator: &Simulator<'_>, row: &Sample, force: f64) -> Vec<Menu> {
 }
 
 /// The experiment as a recording without readings, and all of its frames as samples.
-fn carried_out(simulator: &Simulator<'_>, menu: &Menu) -> Option<(Recording, Samples)> {
+fn carried_out(simulator: &Simulator<'_>, menu: &Menu) -> (Recording, Samples) {
     let surface = simulator.skin.surface();
     let mut recording = Recording::new(menu.id, simulator.skin.channels().len());
     let nothing = vec![f32::NAN; recording.channels];
     let mut time = 0.0;
     let step = (1.0 / simulator.skin.rate).max(0.01);
-    let untouched = |temperature: f64| Stimulus {
-        temperature: if temperature.is_finite() { temperature } else { 293.15 },
-        ..Stimulus::default()
-    };
     let mut add = |time: f64, phase: Phase, stimulus: Stimulus, press: u64| {
         let label = FrameLabel {
             time,
@@ -254,30 +250,56 @@ fn carried_out(simulator: &Simulator<'_>, menu: &Menu) -> Option<(Recording, Sam
         // Long rests and holds are sampled less often.
         while time - begin < total {
             let t = time - begin;
-            let (share, phase) = if t < press.load {
-                (t / press.load, Phase::Load)
-            } else if t < press.load + press.hold {
-                (1.0, Phase::Hold)
-            } else if t < press.load + press.hold + press.unload {
-                (1.0 - (t - press.load - press.hold) / press.unload, Phase::Unload)
-            } else {
-                (0.0, Phase::Approach)
-            };
-            let mut stimulus = untouched(press.temperature);
-            if share > 0.0 {
-                for at in &press.at {
-                    let (position, normal) = surface.project(at);
-                    stimulus.contacts.push(Indentation::sphere(
-                        position,
-                        Vector3::from(normal * (-share * press.force)),
-                        press.tip,
-                    ));
-                }
-            }
-            add(time, phase, stimulus, n as u64 + 1);
+            let (share, phase) = press.course(t);
+            add(time, phase, press.stimulus(share, &surface), n as u64 + 1);
             time += if t > 2.0 + press.load { 10.0 * step } else { step };
         }
     }
+    let samples = all_frames(&recording);
+    (recording, samples)
+}
+
+/// Nothing touches, at a temperature \[K\].
+fn untouched(temperature: f64) -> Stimulus {
+    Stimulus {
+        temperature: if temperature.is_finite() { temperature } else { 293.15 },
+        ..Stimulus::default()
+    }
+}
+
+impl Press {
+    /// Share of the force and phase `t` \[s\] after its beginning.
+    fn course(&self, t: f64) -> (f64, Phase) {
+        if t < self.load {
+            (t / self.load, Phase::Load)
+        } else if t < self.load + self.hold {
+            (1.0, Phase::Hold)
+        } else if t < self.load + self.hold + self.unload {
+            (1.0 - (t - self.load - self.hold) / self.unload, Phase::Unload)
+        } else {
+            (0.0, Phase::Approach)
+        }
+    }
+
+    /// What touches under a share of the force.
+    fn stimulus(&self, share: f64, surface: &Surface) -> Stimulus {
+        let mut stimulus = untouched(self.temperature);
+        if share > 0.0 {
+            for at in &self.at {
+                let (position, normal) = surface.project(at);
+                stimulus.contacts.push(Indentation::sphere(
+                    position,
+                    Vector3::from(normal * (-share * self.force)),
+                    self.tip,
+                ));
+            }
+        }
+        stimulus
+    }
+}
+
+/// All frames of a recording as samples of one group.
+fn all_frames(recording: &Recording) -> Samples {
     let samples = recording.labels.iter().enumerate().map(|(frame, m)| Sample {
         frame,
         group: 0,
@@ -296,13 +318,12 @@ fn carried_out(simulator: &Simulator<'_>, menu: &Menu) -> Option<(Recording, Sam
         contacts: 0,
         paired: false,
     });
-    let samples = Samples {
+    Samples {
         list: samples.collect(),
         groups: 1,
         test: vec![false],
         presses: 1,
         single_frame_samples: 0,
         missing: 0,
-    };
-    Some((recording, samples))
+    }
 }

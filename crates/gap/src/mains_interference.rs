@@ -23,58 +23,21 @@ pub struct Interference {
 /// Finds the strongest line in the spectrum of untouched frames that follow each other.
 #[must_use]
 pub fn find(recording: &Recording, rate: f64) -> Option<Interference> {
-    let mut stretches: Vec<usize> = Vec::new();
-    let mut since = 0;
-    for (i, label) in recording.labels.iter().enumerate() {
-        let goes_on = i > 0 && recording.labels[i - 1].run == label.run;
-        since = match (label.phase.touched() || label.stimulus.is_none(), goes_on) {
-            (true, _) => 0,
-            (false, true) => since + 1,
-            (false, false) => 1,
-        };
-        if since == STRETCH {
-            stretches.push(i + 1 - STRETCH);
-            since = 0;
-        }
-    }
     let half = STRETCH / 2;
     let mut power = vec![0.0f64; half + 1];
     let mut spectra: Vec<Vec<f64>> = Vec::new();
-    let mut taken = 0;
     let mut variance = 0.0;
-    let many = stretches.len();
-    for start in stretches {
+    let stretches = stretches(recording);
+    for &start in &stretches {
         for k in 0..recording.channels {
-            let mut values: Vec<f64> =
-                (0..STRETCH).map(|i| f64::from(recording.frame(start + i)[k])).collect();
-            if values.iter().any(|v| !v.is_finite()) {
-                continue;
-            }
-            detrend(&mut values);
-            let energy: f64 = values.iter().map(|v| v * v).sum();
-            if energy <= 0.0 {
-                continue;
-            }
-            taken += 1;
+            let values = (0..STRETCH).map(|i| f64::from(recording.frame(start + i)[k])).collect();
+            let Some((own, energy)) = spectrum(values) else { continue };
             variance += energy / STRETCH as f64;
-            let mut own = vec![0.0f64; half + 1];
-            for (f, p) in own.iter_mut().enumerate() {
-                let (mut re, mut im) = (0.0, 0.0);
-                for (i, v) in values.iter().enumerate() {
-                    // A window keeps a line in its place.
-                    let window = 1.0 - (TAU * (i as f64 + 0.5) / STRETCH as f64).cos();
-                    let (sin, cos) = (TAU * (f * i) as f64 / STRETCH as f64).sin_cos();
-                    re += window * v * cos;
-                    im += window * v * sin;
-                }
-                // Lines at the ends of the spectrum stand there once, all others twice.
-                let twice = if f == 0 || f == half { 0.5 } else { 1.0 };
-                *p = twice * (re * re + im * im) / energy;
-            }
             power.iter_mut().zip(&own).for_each(|(p, o)| *p += o);
             spectra.push(own);
         }
     }
+    let taken = spectra.len();
     if taken < FEWEST {
         return None;
     }
@@ -96,7 +59,7 @@ pub fn find(recording: &Recording, rate: f64) -> Option<Interference> {
     let each: Vec<f64> = spectra.iter().map(|own| of(own, median / taken as f64)).collect();
     let level = mean(&each);
     let variance_of = each.iter().map(|s| (s - level).powi(2)).sum::<f64>() / each.len() as f64;
-    let spread = Z95 * (variance_of / many as f64).sqrt();
+    let spread = Z95 * (variance_of / stretches.len() as f64).sqrt();
     let amplitude = (2.0 * share * variance / taken as f64).sqrt();
     let between = if peak < half { between([power[peak - 1], power[peak], power[peak + 1]]) } else { 0.0 };
     Some(Interference {
@@ -105,6 +68,54 @@ pub fn find(recording: &Recording, rate: f64) -> Option<Interference> {
         half: spread,
         amplitude,
     })
+}
+
+/// First frames of stretches of untouched frames that follow each other.
+fn stretches(recording: &Recording) -> Vec<usize> {
+    let mut stretches = Vec::new();
+    let mut since = 0;
+    for (i, label) in recording.labels.iter().enumerate() {
+        let goes_on = i > 0 && recording.labels[i - 1].run == label.run;
+        since = match (label.phase.touched() || label.stimulus.is_none(), goes_on) {
+            (true, _) => 0,
+            (false, true) => since + 1,
+            (false, false) => 1,
+        };
+        if since == STRETCH {
+            stretches.push(i + 1 - STRETCH);
+            since = 0;
+        }
+    }
+    stretches
+}
+
+/// Spectrum of a stretch of readings about their mean and trend, over their energy, and that energy; `None` where they do not change, or
+/// some are missing.
+fn spectrum(mut values: Vec<f64>) -> Option<(Vec<f64>, f64)> {
+    if values.iter().any(|v| !v.is_finite()) {
+        return None;
+    }
+    detrend(&mut values);
+    let energy: f64 = values.iter().map(|v| v * v).sum();
+    if energy <= 0.0 {
+        return None;
+    }
+    let half = STRETCH / 2;
+    let mut power = vec![0.0f64; half + 1];
+    for (f, p) in power.iter_mut().enumerate() {
+        let (mut re, mut im) = (0.0, 0.0);
+        for (i, v) in values.iter().enumerate() {
+            // A window keeps a line in its place.
+            let window = 1.0 - (TAU * (i as f64 + 0.5) / STRETCH as f64).cos();
+            let (sin, cos) = (TAU * (f * i) as f64 / STRETCH as f64).sin_cos();
+            re += window * v * cos;
+            im += window * v * sin;
+        }
+        // Lines at the ends of the spectrum stand there once, all others twice.
+        let twice = if f == 0 || f == half { 0.5 } else { 1.0 };
+        *p = twice * (re * re + im * im) / energy;
+    }
+    Some((power, energy))
 }
 
 /// How far beside the middle of three powers in a row, of a window that is half a cosine squared, their line lies.

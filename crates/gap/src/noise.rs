@@ -11,7 +11,7 @@ use crate::constants::noise::{
     SAME_PLACE, SMALL_FORCE,
 };
 use crate::recording::Recording;
-use crate::samples::Samples;
+use crate::samples::{Sample, Samples};
 
 /// Standard deviation of each channel's noise in the unit of the skin, from one untouched frame to the next; that of the
 /// description where there are too few of these. Infinite for a channel that gives no numbers.
@@ -84,6 +84,107 @@ struct Sums {
     pairs: f64,
 }
 
+impl Sums {
+    /// Energy of a reading over some groups, and that of its noise; `usable` is the number of channels that count.
+    fn total(groups: impl Iterator<Item = Self>, usable: f64) -> (f64, f64) {
+        let mut t = Self::default();
+        for s in groups {
+            t.energy += s.energy;
+            t.samples += s.samples;
+            t.twins += s.twins;
+            t.pairs += s.pairs;
+        }
+        // Without twins the noise is what it was measured to be between frames: 1.
+        let noise = if t.pairs >= PAIRS { t.twins / t.pairs / usable } else { 1.0 };
+        (t.energy / t.samples.max(1.0) / usable, noise)
+    }
+}
+
+/// Residuals of samples, in deviations of the noise.
+struct Residual<'a> {
+    values: &'a [f32],
+    channels: usize,
+    samples: &'a Samples,
+}
+
+impl Residual<'_> {
+    fn row(&self, i: usize) -> &[f32] {
+        &self.values[i * self.channels..(i + 1) * self.channels]
+    }
+
+    /// Energy of the noise of two samples that are alike but for a factor.
+    fn apart(&self, i: usize, j: usize, factor: f32) -> f64 {
+        let rows = self.row(i).iter().zip(self.row(j));
+        rows.map(|(a, b)| f64::from(a - b * factor).powi(2)).sum::<f64>() / 2.0
+    }
+
+    /// Energies of all samples and of the noise of twins, by group.
+    fn by_group(&self) -> Vec<Sums> {
+        let list = &self.samples.list;
+        let mut sums = vec![Sums::default(); self.samples.groups];
+        for (i, r) in list.iter().enumerate() {
+            let s = &mut sums[r.group];
+            s.energy += self.row(i).iter().map(|x| f64::from(*x).powi(2)).sum::<f64>();
+            s.samples += 1.0;
+            if r.paired && i + 1 < list.len() {
+                s.twins += self.apart(i, i + 1, 1.0);
+                s.pairs += 1.0;
+            }
+        }
+        sums
+    }
+
+    /// Energy of what differs between presses that were done alike, over all pairs of them, and the number of pairs. Alike are same place,
+    /// same force, same tip and same phase; a group holds locations whole, whichever run they are of.
+    fn between_repeats(&self) -> (f64, usize) {
+        let list = &self.samples.list;
+        let mut locations: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+        for (i, r) in list.iter().enumerate() {
+            if r.phase == Phase::Hold && r.contacts == 1 {
+                locations.entry(r.group).or_default().push(i);
+            }
+        }
+        let (mut again, mut repeats) = (0.0, 0usize);
+        for frames in locations.values() {
+            for (a, &i) in frames.iter().enumerate() {
+                for &j in &frames[a + 1..] {
+                    let (p, q) = (&list[i], &list[j]);
+                    if alike(p, q) {
+                        // A difference in force is no noise: what it makes is taken out to first order.
+                        let ratio = (p.force / q.force.max(1e-9)) as f32;
+                        again += self.apart(i, j, ratio);
+                        repeats += 1;
+                    }
+                }
+            }
+        }
+        (again, repeats)
+    }
+}
+
+/// Whether two held samples are of different presses that were done alike.
+fn alike(p: &Sample, q: &Sample) -> bool {
+    let near = p.position.iter().zip(q.position).all(|(a, b)| (a - b).abs() < SAME_PLACE);
+    let force = (p.force - q.force).abs() < SAME_FORCE * p.force.max(SMALL_FORCE);
+    let course = (p.since - q.since).abs() < SAME_COURSE[0] * p.since.abs().max(SAME_COURSE[1]);
+    p.press != q.press && near && force && course && p.diameter == q.diameter
+}
+
+/// Energy of `n` rows of readings about their means.
+fn about_means(readings: &[f32], n: usize, channels: usize) -> f64 {
+    let mut mean = vec![0.0f64; channels];
+    for r in readings.chunks_exact(channels) {
+        for (m, v) in mean.iter_mut().zip(r) {
+            *m += f64::from(*v) / n.max(1) as f64;
+        }
+    }
+    let mut energy = 0.0;
+    for r in readings.chunks_exact(channels) {
+        energy += r.iter().zip(&mean).map(|(v, m)| (f64::from(*v) - m).powi(2)).sum::<f64>();
+    }
+    energy
+}
+
 /// Measures the gap of a residual (samples × channels, in deviations of the noise) by cross products: noise of different frames is
 /// independent, the systematic part is the same. `readings` are the readings in the same scale.
 #[must_use]
@@ -95,80 +196,19 @@ pub fn measure(
     channels: usize,
     seed: u64,
 ) -> Gap {
-    let n = samples.list.len();
-    let row = |i: usize| &residual[i * channels..(i + 1) * channels];
-    let energy = |v: &[f32]| v.iter().map(|x| f64::from(*x).powi(2)).sum::<f64>();
-    let apart = |i: usize, j: usize| {
-        row(i).iter().zip(row(j)).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>() / 2.0
-    };
-    let mut sums = vec![Sums::default(); samples.groups];
-    for (i, r) in samples.list.iter().enumerate() {
-        let s = &mut sums[r.group];
-        s.energy += energy(row(i));
-        s.samples += 1.0;
-        if r.paired && i + 1 < n {
-            s.twins += apart(i, i + 1);
-            s.pairs += 1.0;
-        }
-    }
-    // Presses that were done alike: same place, same force, same tip, same phase; a group holds locations whole, whichever run they are of.
-    let mut locations: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
-    for (i, r) in samples.list.iter().enumerate() {
-        if r.phase == Phase::Hold && r.contacts == 1 {
-            locations.entry(r.group).or_default().push(i);
-        }
-    }
-    let (mut again, mut repeats) = (0.0, 0usize);
-    for frames in locations.values() {
-        for (a, &i) in frames.iter().enumerate() {
-            for &j in &frames[a + 1..] {
-                let (p, q) = (&samples.list[i], &samples.list[j]);
-                let near = p.position.iter().zip(q.position).all(|(a, b)| (a - b).abs() < SAME_PLACE);
-                let alike = (p.force - q.force).abs() < SAME_FORCE * p.force.max(SMALL_FORCE);
-                let label = (p.since - q.since).abs() < SAME_COURSE[0] * p.since.abs().max(SAME_COURSE[1]);
-                if p.press != q.press && near && alike && label && p.diameter == q.diameter {
-                    // A difference in force is no noise: what it makes is taken out to first order.
-                    let ratio = (p.force / q.force.max(1e-9)) as f32;
-                    let differ: f64 =
-                        row(i).iter().zip(row(j)).map(|(a, b)| f64::from(a - b * ratio).powi(2)).sum();
-                    again += differ / 2.0;
-                    repeats += 1;
-                }
-            }
-        }
-    }
-    let mut mean = vec![0.0f64; channels];
-    for r in readings.chunks_exact(channels) {
-        for (m, v) in mean.iter_mut().zip(r) {
-            *m += f64::from(*v) / n.max(1) as f64;
-        }
-    }
-    let mut variance = 0.0;
-    for r in readings.chunks_exact(channels) {
-        variance += r.iter().zip(&mean).map(|(v, m)| (f64::from(*v) - m).powi(2)).sum::<f64>();
-    }
-    let scale = usable.max(1) as f64;
-    let variance = variance / (n.max(1) as f64 * scale);
-    let total = |sums: &mut dyn Iterator<Item = Sums>| {
-        let mut t = Sums::default();
-        for s in sums {
-            t.energy += s.energy;
-            t.samples += s.samples;
-            t.twins += s.twins;
-            t.pairs += s.pairs;
-        }
-        // Without twins the noise is what it was measured to be between frames: 1.
-        let noise = if t.pairs >= PAIRS { t.twins / t.pairs / scale } else { 1.0 };
-        (t.energy / t.samples.max(1.0) / scale, noise)
-    };
-    let (before, twins) = total(&mut sums.iter().copied());
+    let (n, scale) = (samples.list.len(), usable.max(1) as f64);
+    let residual = Residual { values: residual, channels, samples };
+    let sums = residual.by_group();
+    let (again, repeats) = residual.between_repeats();
+    let variance = about_means(readings, n, channels) / (n.max(1) as f64 * scale);
+    let (before, twins) = Sums::total(sums.iter().copied(), scale);
     let again = (repeats >= REPEATS).then(|| (again / repeats as f64 / scale - twins).max(0.0));
     let floor = twins + again.unwrap_or(0.0);
     let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x9a9);
     let mut drawn: Vec<f64> = (0..DRAWS)
         .map(|_| {
-            let mut picks = (0..sums.len()).map(|_| sums[rng.random_range(0..sums.len())]);
-            let (before, twins) = total(&mut picks);
+            let picks = (0..sums.len()).map(|_| sums[rng.random_range(0..sums.len())]);
+            let (before, twins) = Sums::total(picks, scale);
             (before - twins - again.unwrap_or(0.0)) / variance
         })
         .collect();

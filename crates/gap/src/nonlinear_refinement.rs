@@ -178,35 +178,83 @@ pub fn fit(
     starts: &[Vec<Effect>],
     free: &[Free],
 ) -> Result<Refinement, GapError> {
-    let many = |all: &[Vec<Effect>]| {
-        let skins: Vec<_> = all.iter().map(|effects| simulator.with(effects)).collect();
-        target.progress.inc_length(skins.len() as u64);
-        simulator.many(&skins, target.recording, (target.samples, true), target.stop, target.progress)
-    };
-    let mut best: Option<(Vec<Effect>, Vec<f32>, f64)> = None;
-    let mut refused = None;
-    for (effects, read) in starts.iter().zip(many(starts)?) {
-        match read {
-            Ok(read) => {
-                let (_, loss) = target.residual(&read);
-                if best.as_ref().is_none_or(|b| loss < b.2) {
-                    best = Some((effects.clone(), read, loss));
-                }
-            }
-            Err(error) => refused = Some(error),
-        }
-    }
-    let Some((mut effects, mut read, mut loss)) = best else {
-        return Err(refused.unwrap_or(GapError::Interrupted));
-    };
-    let n = free.len();
-    let mut halves = vec![f64::NAN; n];
-    let [mut damping, falls, least_damping, rises] = DAMPING;
-    for round in 0..ROUNDS {
-        if n == 0 {
+    let fit = Fit { simulator, target, free };
+    let mut point = fit.best(starts)?;
+    let mut halves = vec![f64::NAN; free.len()];
+    let mut damping = DAMPING[0];
+    let rounds = if free.is_empty() { 0 } else { ROUNDS };
+    for _ in 0..rounds {
+        let around = fit.linearised(&point)?;
+        let gained = fit.step(&mut point, &around, &mut damping)?;
+        halves = around.halves;
+        if gained < ENOUGH {
             break;
         }
-        let now: Vec<f64> = free.iter().map(|f| value(&effects, f)).collect();
+    }
+    for (half, free) in halves.iter_mut().zip(free) {
+        *half = half.hypot(Z90 * LAW * (value(&point.effects, free) - free.neutral).abs());
+    }
+    Ok(Refinement { effects: point.effects, readings: point.readings, halves })
+}
+
+/// Least squares on the full simulator, by Levenberg's and Marquardt's method.
+struct Fit<'a, 's> {
+    simulator: &'a Simulator<'s>,
+    target: &'a Target<'s>,
+    free: &'a [Free],
+}
+
+/// Values that were simulated.
+struct Point {
+    effects: Vec<Effect>,
+    readings: Vec<f32>,
+    /// Energy of the residual.
+    loss: f64,
+}
+
+/// The simulator around a point, to first order in large changes of the free numbers.
+struct Linearised {
+    /// Values of the free numbers there.
+    now: Vec<f64>,
+    /// Products of slopes.
+    normal: Vec<f64>,
+    /// Products of slopes with the residual.
+    side: Vec<f64>,
+    /// Half of the 90 % interval of each number.
+    halves: Vec<f64>,
+}
+
+impl Fit<'_, '_> {
+    /// Readings with each of these effects.
+    fn simulated(&self, all: &[Vec<Effect>]) -> Result<Vec<Result<Vec<f32>, GapError>>, GapError> {
+        let Target { recording, samples, stop, progress, .. } = *self.target;
+        let skins: Vec<_> = all.iter().map(|effects| self.simulator.with(effects)).collect();
+        progress.inc_length(skins.len() as u64);
+        self.simulator.many(&skins, recording, (samples, true), stop, progress)
+    }
+
+    /// The best of several starts.
+    fn best(&self, starts: &[Vec<Effect>]) -> Result<Point, GapError> {
+        let mut best: Option<Point> = None;
+        let mut refused = None;
+        for (effects, read) in starts.iter().zip(self.simulated(starts)?) {
+            match read {
+                Ok(readings) => {
+                    let (_, loss) = self.target.residual(&readings);
+                    if best.as_ref().is_none_or(|b| loss < b.loss) {
+                        best = Some(Point { effects: effects.clone(), readings, loss });
+                    }
+                }
+                Err(error) => refused = Some(error),
+            }
+        }
+        best.ok_or_else(|| refused.unwrap_or(GapError::Interrupted))
+    }
+
+    /// Slopes by differences, and what follows from them.
+    fn linearised(&self, point: &Point) -> Result<Linearised, GapError> {
+        let (target, free, n) = (self.target, self.free, self.free.len());
+        let now: Vec<f64> = free.iter().map(|f| value(&point.effects, f)).collect();
         let steps: Vec<f64> = free
             .iter()
             .zip(&now)
@@ -217,13 +265,14 @@ pub fn fit(
             .collect();
         let varied: Vec<Vec<Effect>> = (0..n)
             .map(|p| {
-                let mut other = effects.clone();
+                let mut other = point.effects.clone();
                 put(&mut other, &free[p], now[p] + steps[p]);
                 other
             })
             .collect();
-        let (residual, _) = target.residual(&read);
-        let slopes: Vec<Option<Vec<f32>>> = many(&varied)?
+        let (residual, _) = target.residual(&point.readings);
+        let slopes: Vec<Option<Vec<f32>>> = self
+            .simulated(&varied)?
             .into_iter()
             .zip(&steps)
             .zip(free)
@@ -237,53 +286,55 @@ pub fn fit(
             .collect();
         let nothing = vec![0.0f32; residual.len()];
         let slopes: Vec<&[f32]> = slopes.iter().map(|s| s.as_deref().unwrap_or(&nothing)).collect();
-        let mut a = vec![0.0; n * n];
-        let mut b = vec![0.0; n];
+        let mut normal = vec![0.0; n * n];
+        let mut side = vec![0.0; n];
         for i in 0..n {
             for j in 0..=i {
                 let d = crate::algebra::dot(slopes[i], slopes[j]);
-                (a[i * n + j], a[j * n + i]) = (d, d);
+                (normal[i * n + j], normal[j * n + i]) = (d, d);
             }
-            b[i] = crate::algebra::dot(slopes[i], &residual);
+            side[i] = crate::algebra::dot(slopes[i], &residual);
         }
-        halves = intervals(&a, &slopes, &residual, target, free);
-        let mut gained = 0.0;
+        let halves = intervals(&normal, &slopes, &residual, target, free);
+        Ok(Linearised { now, normal, side, halves })
+    }
+
+    /// Takes the first of some steps, each damped more than the one before, that reduces the residual, and says by what share of its
+    /// energy; 0 where none does.
+    fn step(&self, point: &mut Point, around: &Linearised, damping: &mut f64) -> Result<f64, GapError> {
+        let [_, falls, least_damping, rises] = DAMPING;
+        let Linearised { now, normal, side, .. } = around;
+        let n = self.free.len();
         for _ in 0..TRIES {
-            let mut damped = a.clone();
-            let trace = (0..n).map(|i| a[i * n + i]).fold(0.0, f64::max);
-            (0..n)
-                .for_each(|i| damped[i * n + i] = damped[i * n + i] * (1.0 + damping) + 1e-9 * trace + 1e-12);
-            let mut x = b.clone();
+            let mut damped = normal.clone();
+            let trace = (0..n).map(|i| normal[i * n + i]).fold(0.0, f64::max);
+            (0..n).for_each(|i| {
+                damped[i * n + i] = damped[i * n + i] * (1.0 + *damping) + 1e-9 * trace + 1e-12;
+            });
+            let mut x = side.clone();
             if cholesky_solve(&mut damped, n, &mut x).is_none() {
-                damping *= rises;
+                *damping *= rises;
                 continue;
             }
-            let mut other = effects.clone();
-            for p in 0..n {
-                let to = (now[p] + x[p].clamp(-FAR, FAR) * free[p].scale)
-                    .clamp(free[p].limits[0], free[p].limits[1]);
-                put(&mut other, &free[p], to);
+            let mut effects = point.effects.clone();
+            for ((free, now), x) in self.free.iter().zip(now).zip(&x) {
+                let to = (now + x.clamp(-FAR, FAR) * free.scale).clamp(free.limits[0], free.limits[1]);
+                put(&mut effects, free, to);
             }
-            let tried = many(std::slice::from_ref(&other))?.pop();
-            if let Some(Ok(candidate)) = tried {
-                let (_, less) = target.residual(&candidate);
-                if less < loss {
-                    gained = (loss - less) / loss.max(1e-300);
-                    (effects, read, loss) = (other, candidate, less);
-                    damping = (damping * falls).max(least_damping);
-                    break;
+            let tried = self.simulated(std::slice::from_ref(&effects))?.pop();
+            if let Some(Ok(readings)) = tried {
+                let (_, loss) = self.target.residual(&readings);
+                if loss < point.loss {
+                    let gained = (point.loss - loss) / point.loss.max(1e-300);
+                    *point = Point { effects, readings, loss };
+                    *damping = (*damping * falls).max(least_damping);
+                    return Ok(gained);
                 }
             }
-            damping *= rises;
+            *damping *= rises;
         }
-        if gained < ENOUGH || round + 1 == ROUNDS {
-            break;
-        }
+        Ok(0.0)
     }
-    for (half, free) in halves.iter_mut().zip(free) {
-        *half = half.hypot(Z90 * LAW * (value(&effects, free) - free.neutral).abs());
-    }
-    Ok(Refinement { effects, readings: read, halves })
 }
 
 /// Half of each number's 90 % interval: contacts of one place are not independent, so that scores of groups are counted.

@@ -92,130 +92,27 @@ impl Samples {
     #[must_use]
     pub fn draw(recording: &Recording, usable: &[bool], options: &SampleOptions) -> Self {
         let facts = facts(recording);
-        // Frames by press, in the order of phases within it.
-        let mut presses: Vec<Vec<usize>> = Vec::new();
-        let mut idle = Vec::new();
-        let mut last = None;
-        for (i, label) in recording.labels.iter().enumerate() {
-            if label.stimulus.is_none() {
-                continue;
-            }
-            if label.phase == Phase::Idle || facts[i].since.is_nan() {
-                idle.push(i);
-                continue;
-            }
-            if last != Some((label.run, label.press)) {
-                presses.push(Vec::new());
-                last = Some((label.run, label.press));
-            }
-            if let Some(press) = presses.last_mut() {
-                press.push(i);
-            }
-        }
-        presses.retain(|p| p.iter().any(|&i| recording.labels[i].phase.touched()));
-        let whole = |i: usize| recording.frame(i).iter().zip(usable).all(|(v, u)| v.is_finite() || !u);
-        let budget = (options.readings / recording.channels.max(1)).max(64);
-        // Some eight frames of a press say all of it; where there are too many presses, every so many are taken.
-        let keep = presses.len().div_ceil((budget / 8).max(1)).max(1);
-        let mut missing = 0;
-        let mut chosen: Vec<(usize, usize, bool)> = Vec::new();
-        for (number, press) in presses.iter().enumerate().step_by(keep) {
-            for (frame, paired) in of_press(recording, press, &facts) {
-                if whole(frame) {
-                    chosen.push((frame, number, paired));
-                } else {
-                    missing += 1;
-                }
-            }
-        }
-        // Of the others one frame each, so that every channel is touched as often as can be.
-        let others = presses.iter().enumerate().filter(|(number, _)| number % keep != 0);
-        let mut single_frame_samples = 0;
-        for (number, press) in
-            others.step_by((presses.len() - presses.len().div_ceil(keep)).div_ceil(budget).max(1))
-        {
-            let held: Vec<usize> =
-                press.iter().copied().filter(|i| recording.labels[*i].phase == Phase::Hold).collect();
-            if let Some(&frame) = held.get(held.len() / 2).filter(|frame| whole(**frame)) {
-                chosen.push((frame, number, false));
-                single_frame_samples += 1;
-            }
-        }
-        let most = (chosen.len() / 10).clamp(20, 400);
-        for &frame in idle.iter().step_by(idle.len().div_ceil(most).max(1)) {
-            if whole(frame) {
-                chosen.push((frame, usize::MAX, false));
-            } else {
-                missing += 1;
-            }
-        }
-        chosen.sort_unstable();
-        chosen.dedup_by_key(|c| c.0);
-        let taken = presses.iter().step_by(keep).count();
-
-        // Locations make groups; those of idle stretches are stretches.
+        let chosen = Chosen::of(recording, usable, &facts, options.readings);
         let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
-        let place_of = recording.locations();
-        let mut locations: BTreeMap<(u32, u32), usize> = BTreeMap::new();
-        for (frame, number, _) in &chosen {
-            if *number != usize::MAX {
-                let next = locations.len();
-                locations.entry(place_of[*frame]).or_insert(next);
-            }
-        }
-        let most = options.groups.max(8) * 9 / 10;
-        let touched = locations.len().min(most);
-        let mut order: Vec<usize> = (0..locations.len()).collect();
-        order.shuffle(&mut rng);
-        let stretches = (options.groups - most).clamp(1, 12);
-        let idle_samples = chosen.iter().filter(|c| c.1 == usize::MAX).count();
-        let groups = touched + if idle_samples > 0 { stretches } else { 0 };
-        let mut idle_seen = 0;
-        let mut samples: Vec<Sample> = Vec::with_capacity(chosen.len());
-        for (frame, number, paired) in chosen {
-            let label = &recording.labels[frame];
-            let group = if number == usize::MAX {
-                let stretch = idle_seen * stretches / idle_samples.max(1);
-                idle_seen += 1;
-                touched + stretch
-            } else {
-                let index = locations[&place_of[frame]];
-                order[index] % touched.max(1)
-            };
-            let first = label.stimulus.as_ref().and_then(|s| s.contacts.first());
-            samples.push(Sample {
-                frame,
-                group,
-                press: number,
-                location: (label.run, label.location),
-                session: recording.session_of(frame),
-                phase: label.phase,
-                force: label.force(),
-                since: facts[frame].since,
-                time: label.time,
-                before: facts[frame].before,
-                speed: facts[frame].speed,
-                temperature: label.temperature,
-                position: first.map_or([f64::NAN; 3], |c| c.position.coords.into()),
-                diameter: first.map_or(f64::NAN, dermis_model::Indentation::diameter),
-                contacts: label.stimulus.as_ref().map_or(0, |s| s.contacts.len()),
-                paired,
-            });
-        }
+        let groups = Groups::of(&chosen.frames, &recording.locations(), options, &mut rng);
+        let list = chosen.frames.iter().zip(&groups.of_each);
+        let mut list: Vec<Sample> =
+            list.map(|(frame, group)| sample(recording, &facts, *frame, *group)).collect();
         // A pair may have lost its second row.
-        for i in 0..samples.len() {
-            let next = samples.get(i + 1).is_some_and(|n| {
-                n.frame == samples[i].frame + 1 && n.press == samples[i].press && n.phase == samples[i].phase
+        for i in 0..list.len() {
+            let next = list.get(i + 1).is_some_and(|n| {
+                n.frame == list[i].frame + 1 && n.press == list[i].press && n.phase == list[i].phase
             });
-            samples[i].paired &= next;
+            list[i].paired &= next;
         }
-        let mut numbers: Vec<usize> = (0..touched).collect();
-        numbers.shuffle(&mut rng);
-        let mut test = vec![false; groups];
-        for group in numbers.iter().take((touched as f64 * options.test).round() as usize) {
-            test[*group] = true;
+        Self {
+            list,
+            groups: groups.count,
+            test: groups.held_out(options.test, &mut rng),
+            presses: chosen.presses,
+            single_frame_samples: chosen.single_frame_samples,
+            missing: chosen.missing,
         }
-        Self { list: samples, groups, test, presses: taken, single_frame_samples, missing }
     }
 
     /// Indices of the frames, in order.
@@ -228,6 +125,175 @@ impl Samples {
     #[must_use]
     pub fn training(&self) -> Vec<f64> {
         self.test.iter().map(|t| f64::from(u8::from(!t))).collect()
+    }
+}
+
+/// A frame that was chosen.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+struct Drawn {
+    frame: usize,
+    /// `usize::MAX` between presses.
+    press: usize,
+    /// Whether the next frame is its twin.
+    paired: bool,
+}
+
+impl Drawn {
+    fn is_idle(&self) -> bool {
+        self.press == usize::MAX
+    }
+}
+
+/// The frames that are compared, before they are grouped; what it counts is as in [`Samples`].
+#[derive(Default)]
+struct Chosen {
+    /// In the order of acquisition.
+    frames: Vec<Drawn>,
+    presses: usize,
+    single_frame_samples: usize,
+    missing: usize,
+}
+
+impl Chosen {
+    /// Frames evenly over presses and phases, whose usable channels all have a reading: `readings` of them at most in presses that are
+    /// sampled in every phase.
+    fn of(recording: &Recording, usable: &[bool], facts: &[Facts], readings: usize) -> Self {
+        let (presses, idle) = by_press(recording, facts);
+        let whole = |i: usize| recording.frame(i).iter().zip(usable).all(|(v, u)| v.is_finite() || !u);
+        let budget = (readings / recording.channels.max(1)).max(64);
+        // Some eight frames of a press say all of it; where there are too many presses, every so many are taken.
+        let keep = presses.len().div_ceil((budget / 8).max(1)).max(1);
+        let mut chosen = Self { presses: presses.iter().step_by(keep).count(), ..Self::default() };
+        for (press, frames) in presses.iter().enumerate().step_by(keep) {
+            for (frame, paired) in of_press(recording, frames, facts) {
+                chosen.take(Drawn { frame, press, paired }, whole(frame));
+            }
+        }
+        // Of the others one frame each, so that every channel is touched as often as can be.
+        let others = presses.iter().enumerate().filter(|(press, _)| press % keep != 0);
+        let every = (presses.len() - presses.len().div_ceil(keep)).div_ceil(budget).max(1);
+        for (press, frames) in others.step_by(every) {
+            let held: Vec<usize> =
+                frames.iter().copied().filter(|i| recording.labels[*i].phase == Phase::Hold).collect();
+            if let Some(&frame) = held.get(held.len() / 2).filter(|frame| whole(**frame)) {
+                chosen.frames.push(Drawn { frame, press, paired: false });
+                chosen.single_frame_samples += 1;
+            }
+        }
+        let most = (chosen.frames.len() / 10).clamp(20, 400);
+        for &frame in idle.iter().step_by(idle.len().div_ceil(most).max(1)) {
+            chosen.take(Drawn { frame, press: usize::MAX, paired: false }, whole(frame));
+        }
+        chosen.frames.sort_unstable();
+        chosen.frames.dedup_by_key(|drawn| drawn.frame);
+        chosen
+    }
+
+    /// Chooses a frame, or counts it where a reading is missing.
+    fn take(&mut self, drawn: Drawn, whole: bool) {
+        if whole {
+            self.frames.push(drawn);
+        } else {
+            self.missing += 1;
+        }
+    }
+}
+
+/// Frames by press, in the order of acquisition, and those between presses. What touches is known of all.
+fn by_press(recording: &Recording, facts: &[Facts]) -> (Vec<Vec<usize>>, Vec<usize>) {
+    let mut presses: Vec<Vec<usize>> = Vec::new();
+    let mut idle = Vec::new();
+    let mut last = None;
+    for (i, label) in recording.labels.iter().enumerate() {
+        if label.stimulus.is_none() {
+            continue;
+        }
+        if label.phase == Phase::Idle || facts[i].since.is_nan() {
+            idle.push(i);
+            continue;
+        }
+        if last != Some((label.run, label.press)) {
+            presses.push(Vec::new());
+            last = Some((label.run, label.press));
+        }
+        if let Some(press) = presses.last_mut() {
+            press.push(i);
+        }
+    }
+    presses.retain(|p| p.iter().any(|&i| recording.labels[i].phase.touched()));
+    (presses, idle)
+}
+
+/// Which group each chosen frame is of: first come the groups of locations, then those of idle stretches.
+struct Groups {
+    of_each: Vec<usize>,
+    /// Groups of locations.
+    touched: usize,
+    count: usize,
+}
+
+impl Groups {
+    fn of(chosen: &[Drawn], place_of: &[(u32, u32)], options: &SampleOptions, rng: &mut ChaCha8Rng) -> Self {
+        let mut locations: BTreeMap<(u32, u32), usize> = BTreeMap::new();
+        for drawn in chosen.iter().filter(|drawn| !drawn.is_idle()) {
+            let next = locations.len();
+            locations.entry(place_of[drawn.frame]).or_insert(next);
+        }
+        let most = options.groups.max(8) * 9 / 10;
+        let touched = locations.len().min(most);
+        let mut order: Vec<usize> = (0..locations.len()).collect();
+        order.shuffle(rng);
+        let stretches = (options.groups - most).clamp(1, 12);
+        let idle_samples = chosen.iter().filter(|drawn| drawn.is_idle()).count();
+        let mut idle_seen = 0;
+        let of_each = chosen.iter().map(|drawn| {
+            if drawn.is_idle() {
+                let stretch = idle_seen * stretches / idle_samples.max(1);
+                idle_seen += 1;
+                touched + stretch
+            } else {
+                order[locations[&place_of[drawn.frame]]] % touched.max(1)
+            }
+        });
+        let of_each = of_each.collect();
+        Self { of_each, touched, count: touched + if idle_samples > 0 { stretches } else { 0 } }
+    }
+
+    /// Which groups are kept for the end: this share of those of locations.
+    fn held_out(&self, share: f64, rng: &mut ChaCha8Rng) -> Vec<bool> {
+        let mut numbers: Vec<usize> = (0..self.touched).collect();
+        numbers.shuffle(rng);
+        let mut test = vec![false; self.count];
+        for group in numbers.iter().take((self.touched as f64 * share).round() as usize) {
+            test[*group] = true;
+        }
+        test
+    }
+}
+
+/// A chosen frame with what was done in it.
+fn sample(recording: &Recording, facts: &[Facts], drawn: Drawn, group: usize) -> Sample {
+    let Drawn { frame, press, paired } = drawn;
+    let label = &recording.labels[frame];
+    let Facts { since, before, speed } = facts[frame];
+    let first = label.stimulus.as_ref().and_then(|s| s.contacts.first());
+    Sample {
+        frame,
+        group,
+        press,
+        location: (label.run, label.location),
+        session: recording.session_of(frame),
+        phase: label.phase,
+        force: label.force(),
+        since,
+        time: label.time,
+        before,
+        speed,
+        temperature: label.temperature,
+        position: first.map_or([f64::NAN; 3], |c| c.position.coords.into()),
+        diameter: first.map_or(f64::NAN, dermis_model::Indentation::diameter),
+        contacts: label.stimulus.as_ref().map_or(0, |s| s.contacts.len()),
+        paired,
     }
 }
 

@@ -109,62 +109,27 @@ impl Calibration {
         let contacts = || all.iter().flat_map(|f| &f.stimulus.contacts);
         let force_max = contacts().map(|c| c.force.norm()).fold(0.0, f64::max);
         let diameter = contacts().map(Indentation::diameter).fold(0.0, f64::max);
-        let mut heard: Option<Vec<f64>> = None;
-        let mut is_audible = |channel| {
-            if heard.is_none() {
-                heard = Some(audible(model, &untouched, force_max, diameter)?);
+        let mut shares: Option<Vec<f64>> = None;
+        let mut responds = |channel| {
+            if shares.is_none() {
+                shares = Some(responding(model, &untouched, force_max, diameter)?);
             }
-            Ok(heard.as_ref().and_then(|shares| shares.get(channel)).is_some_and(|share| *share > QUIET))
+            Ok(shares.as_ref().and_then(|all| all.get(channel)).is_some_and(|share| *share > QUIET))
         };
-        let gains = if with_gains { gains(&all, noise, &mut is_audible)? } else { vec![1.0; channels] };
-        // Sum of squared deviations over what is expected, if the noise is `scale` times what it should be and the model is
-        // off by `error`.
-        let excess = |frames: &[&Labelled<'_>], scale: f64, error: f64| -> Result<f64, ModelError> {
-            let (mut chi2, mut expected) = (0.0, 0.0);
-            for frame in frames {
-                let datum = |(v, n): (&f32, &f64)| {
-                    let v = f64::from(*v);
-                    if v.is_finite() {
-                        Datum::Exact(v, 1.0 / (scale * n).hypot(error * v))
-                    } else {
-                        Datum::None
-                    }
-                };
-                let data: Vec<Datum> = frame.signal.iter().zip(noise).map(datum).collect();
-                let known = data.iter().filter(|d| **d != Datum::None).count();
-                let force_max = force_max * 2.0;
-                let problem = Problem {
-                    model,
-                    unknowns,
-                    data: &data,
-                    gains: &gains,
-                    untouched: &untouched,
-                    force_max,
-                    stride: STRIDE,
-                    shear: None,
-                    keeps: false,
-                    least_gain: LEAST_GAIN,
-                };
-                let fit = problem.minimise(frame.stimulus.contacts.clone())?;
-                let freedom = known.saturating_sub(unknowns.count() * fit.contacts.len()) as f64;
-                // A frame that nothing explains must not stand for all.
-                chi2 += fit.chi2.min(10.0 * freedom);
-                expected += freedom;
-            }
-            Ok(if expected > 0.0 { chi2 / expected } else { 0.0 })
-        };
+        let gains = if with_gains { gains(&all, noise, &mut responds)? } else { vec![1.0; channels] };
+        let fits = Fits { model, unknowns, gains: &gains, untouched: &untouched, force_max: force_max * 2.0 };
         // A zero that is off shows in weak and strong signals alike; what grows with the signal is the model's error.
         let strongest = |f: &Labelled<'_>| f.signal.iter().map(|v| v.abs()).fold(0.0f32, f32::max);
         all.sort_by(|a, b| strongest(a).total_cmp(&strongest(b)));
         let third = all.len() / 3;
         let (weak, strong) = (some(&all[..third]), some(&all[all.len() - third..]));
-        let scale = excess(&weak, 1.0, 0.0)?.sqrt().max(1.0);
+        let scale = fits.excess(&weak, 1.0, 0.0)?.sqrt().max(1.0);
         let mut model_error = 0.0;
-        if excess(&strong, scale, 0.0)? > CHANCE {
+        if fits.excess(&strong, scale, 0.0)? > CHANCE {
             let (mut low, mut high) = (ERRORS.0, ERRORS.1);
             for _ in 0..ERRORS.2 {
                 let middle = f64::sqrt(low * high);
-                if excess(&strong, scale, middle)? > 1.0 {
+                if fits.excess(&strong, scale, middle)? > 1.0 {
                     low = middle;
                 } else {
                     high = middle;
@@ -176,13 +141,56 @@ impl Calibration {
     }
 }
 
+/// Fits of contacts to labelled frames.
+struct Fits<'a> {
+    model: &'a dyn ForwardModel,
+    unknowns: Unknowns,
+    gains: &'a [f64],
+    untouched: &'a Untouched,
+    force_max: f64,
+}
+
+impl Fits<'_> {
+    /// Sum of squared deviations over what is expected, if the noise is `scale` times what it should be and the model is off by
+    /// `error`.
+    fn excess(&self, frames: &[&Labelled<'_>], scale: f64, error: f64) -> Result<f64, ModelError> {
+        let (mut chi2, mut expected) = (0.0, 0.0);
+        for frame in frames {
+            let datum = |(v, n): (&f32, &f64)| {
+                let v = f64::from(*v);
+                if v.is_finite() { Datum::Exact(v, 1.0 / (scale * n).hypot(error * v)) } else { Datum::None }
+            };
+            let data: Vec<Datum> = frame.signal.iter().zip(self.model.noise()).map(datum).collect();
+            let known = data.iter().filter(|d| **d != Datum::None).count();
+            let problem = Problem {
+                model: self.model,
+                unknowns: self.unknowns,
+                data: &data,
+                gains: self.gains,
+                untouched: self.untouched,
+                force_max: self.force_max,
+                stride: STRIDE,
+                shear: None,
+                keeps: false,
+                least_gain: LEAST_GAIN,
+            };
+            let fit = problem.minimise(frame.stimulus.contacts.clone())?;
+            let freedom = known.saturating_sub(self.unknowns.count() * fit.contacts.len()) as f64;
+            // A frame that nothing explains must not stand for all.
+            chi2 += fit.chi2.min(10.0 * freedom);
+            expected += freedom;
+        }
+        Ok(if expected > 0.0 { chi2 / expected } else { 0.0 })
+    }
+}
+
 /// At most [`MOST`] of them, evenly.
 fn some<'b, 'a>(frames: &'b [Labelled<'a>]) -> Vec<&'b Labelled<'a>> {
     frames.iter().step_by(frames.len().div_ceil(MOST).max(1)).collect()
 }
 
 /// Share of the surface, channel by channel, where a press of `force` \[N\] by a tip of `diameter` \[m\] counts for gains.
-fn audible(
+fn responding(
     model: &dyn ForwardModel,
     untouched: &Untouched,
     force: f64,
@@ -204,12 +212,11 @@ fn audible(
 }
 
 /// Least squares of what is read over what is expected, drawn towards 1 by what noise makes of it (W. James and C. Stein, 1961): strong
-/// presses, whose force is known best, count most. A channel that was never
-/// pressed and is not `audible` has a gain of 1: there is hardly a press that would tell it.
+/// presses, whose force is known best, count most. A channel that was never pressed, and hardly `responds` to any press, has a gain of 1.
 fn gains(
     frames: &[Labelled<'_>],
     noise: &[f64],
-    is_audible: &mut dyn FnMut(usize) -> Result<bool, ModelError>,
+    responds: &mut dyn FnMut(usize) -> Result<bool, ModelError>,
 ) -> Result<Vec<f64>, CalibrationError> {
     let channels = noise.len();
     let strong = |frame: &Labelled<'_>, i: usize| {
@@ -218,7 +225,7 @@ fn gains(
     let seen = |i: usize| frames.iter().filter(|f| strong(f, i)).count();
     let mut quiet = vec![false; channels];
     for (channel, quiet) in quiet.iter_mut().enumerate().filter(|(i, _)| seen(*i) < FEWEST) {
-        if is_audible(channel)? {
+        if responds(channel)? {
             return Err(CalibrationError::Unseen { channel });
         }
         *quiet = true;
@@ -250,7 +257,7 @@ mod tests {
     use super::*;
     use crate::testing::{grid, press, random};
 
-    /// Presses all over the toy, whose device has these gains and an error of its own in proportion to the signal; labels
+    /// Presses all over the grid, whose device has these gains and an error of its own in proportion to the signal; labels
     /// are off by what a stage and a force cell are off by.
     fn recording(gains: &[f64], error: f64) -> Vec<(Stimulus, Vec<f32>)> {
         let model = grid(20.0);
@@ -362,9 +369,9 @@ mod tests {
         let model = grid(20.0);
         let untouched = Untouched::of(&model).unwrap();
         // So light that the strongest press is lost in the noise of every channel.
-        let silent = audible(&model, &untouched, 1e-4, 0.004).unwrap();
+        let silent = responding(&model, &untouched, 1e-4, 0.004).unwrap();
         assert_eq!(silent, [0.0; 25]);
-        let loud = audible(&model, &untouched, 1.5, 0.004).unwrap();
+        let loud = responding(&model, &untouched, 1.5, 0.004).unwrap();
         assert!(loud.iter().all(|share| *share > QUIET), "{loud:?}");
         let found = gains(&[], &[1.0; 2], &mut |_| Ok(false)).unwrap();
         assert_eq!(found, [1.0; 2]);

@@ -100,6 +100,44 @@ pub(crate) fn sum_of_squares(data: &[Datum]) -> f64 {
     data.iter().map(|datum| datum.square()).sum()
 }
 
+/// Contacts on the way to a minimum, and what the model says of them.
+struct Iterate {
+    contacts: Vec<Indentation>,
+    signal: Vec<f64>,
+    chi2: f64,
+    /// Room for the signal of a step.
+    spare: Vec<f64>,
+}
+
+/// Derivatives of the residuals by every unknown.
+struct Slopes {
+    jacobian: DMatrix<f64>,
+    normal_matrix: DMatrix<f64>,
+    /// Derivative of each residual by the model's value.
+    weights: Vec<f64>,
+    /// Whether they are those of a place near by, and readings still count as they did there.
+    kept: bool,
+}
+
+impl Slopes {
+    fn new(channels: usize, unknowns: usize) -> Self {
+        Self {
+            jacobian: DMatrix::zeros(channels, unknowns),
+            normal_matrix: DMatrix::zeros(unknowns, unknowns),
+            weights: vec![0.0; channels],
+            kept: false,
+        }
+    }
+}
+
+/// Normal equations of one step.
+struct Equations {
+    matrix: DMatrix<f64>,
+    gradient: DVector<f64>,
+    /// \[N\] standard deviation of the shear of each contact before the readings.
+    expected: Vec<f64>,
+}
+
 impl Problem<'_> {
     /// Signal (gains included) of these contacts.
     pub fn signal(&self, contacts: &[Indentation], out: &mut [f64]) -> Result<(), ModelError> {
@@ -128,111 +166,121 @@ impl Problem<'_> {
     /// Levenberg–Marquardt from `start` (K. Levenberg 1944, D. W. Marquardt 1963), every step kept on the surface and
     /// between no force and the largest.
     pub fn minimise(&self, start: Vec<Indentation>) -> Result<Minimum, ModelError> {
-        let list = self.unknowns.list();
         let channels = self.data.len();
-        let mut contacts = start;
         let mut signal = vec![0.0; channels];
-        self.signal(&contacts, &mut signal)?;
-        let mut chi2 = self.chi2(&signal);
-        let size = list.len() * contacts.len();
-        let mut plus = vec![0.0; channels];
-        let differences = self.differences();
+        self.signal(&start, &mut signal)?;
+        let chi2 = self.chi2(&signal);
+        let mut slopes = Slopes::new(channels, self.unknowns.list().len() * start.len());
+        let mut at = Iterate { contacts: start, signal, chi2, spare: vec![0.0; channels] };
         let mut damping = 1e-3;
-        let mut normal_matrix = DMatrix::zeros(size, size);
-        let mut jacobian = DMatrix::zeros(channels, size);
-        let mut weights = vec![0.0; channels];
-        // Whether derivatives are those of a place near by, and readings still count as they did there.
-        let mut kept = false;
         for step in 0..STEPS {
-            let mut residuals = DVector::zeros(channels);
-            let mut now = vec![0.0; channels];
-            for (i, (datum, model)) in self.data.iter().zip(&signal).enumerate() {
-                (residuals[i], now[i]) = datum.residual(*model);
-            }
-            kept &= now == weights;
-            if !kept {
-                weights = now;
-                // Derivatives of the residuals by every unknown.
-                let stimulus = Stimulus { contacts: contacts.clone(), ..Stimulus::default() };
-                // Beside an edge of the surface, where its normal jumps, a sheared contact may pull at its neighbours' locations: as far as here
-                // the model knows an answer.
-                let slopes =
-                    self.model.jacobian(&stimulus, self.unknowns, &differences, jacobian.as_mut_slice());
-                if slopes.is_err() {
-                    break;
-                }
-                for mut column in jacobian.column_iter_mut() {
-                    for ((slope, weight), gain) in column.iter_mut().zip(&weights).zip(self.gains) {
-                        *slope *= weight * gain;
-                    }
-                }
-                normal_matrix = jacobian.tr_mul(&jacobian);
-            }
-            let mut gradient = jacobian.tr_mul(&residuals);
-            let expected = self.expected_shears(&contacts);
-            let mut whole = normal_matrix.clone();
-            self.add_prior(&contacts, &expected, &mut whole, &mut gradient);
-            let before = chi2 + self.penalty(&contacts, &expected);
+            let Some(residuals) = self.linearise(&at, &mut slopes) else { break };
+            let equations = self.equations(&at.contacts, &slopes, &residuals);
             if step + 1 == STEPS {
-                normal_matrix = whole;
+                slopes.normal_matrix = equations.matrix;
                 break;
             }
-            let mut better = false;
-            let mut promised = true;
-            for _ in 0..8 {
-                let mut damped = whole.clone();
-                for d in 0..size {
-                    let diagonal = damped[(d, d)];
-                    damped[(d, d)] = diagonal * (1.0 + damping) + 1e-30;
-                }
-                let Some(factor) = damped.cholesky() else {
-                    damping *= 10.0;
-                    continue;
-                };
-                let change = -factor.solve(&gradient);
-                let tried: Vec<Indentation> = contacts
-                    .iter()
-                    .enumerate()
-                    .map(|(c, contact)| {
-                        self.stepped(contact, list, change.rows(c * list.len(), list.len()).as_slice())
-                    })
-                    .collect();
-                let now = match self.signal(&tried, &mut plus) {
-                    Ok(()) => self.chi2(&plus),
-                    // For the same reason: a shorter step.
-                    Err(_) => f64::INFINITY,
-                };
-                let after = now + self.penalty(&tried, &expected);
-                if after < before {
-                    let gain = before - after;
-                    // What the step gains by these derivatives.
-                    let expected = -2.0 * gradient.dot(&change) - change.dot(&(&whole * &change));
-                    promised = (gain - expected).abs() < KEPT * expected;
-                    contacts = tried;
-                    std::mem::swap(&mut signal, &mut plus);
-                    chi2 = now;
-                    damping = (damping * 0.1).max(1e-9);
-                    // What is left to gain is far below what noise does.
-                    better = gain > self.least_gain;
-                    break;
-                }
-                // Derivatives of another place lead nowhere from here.
-                if kept {
-                    promised = false;
-                    better = true;
-                    break;
-                }
-                damping *= 10.0;
-            }
-            if !better {
-                normal_matrix = whole;
+            let Some(promised) = self.step(&mut at, &equations, slopes.kept, &mut damping) else {
+                slopes.normal_matrix = equations.matrix;
                 break;
+            };
+            slopes.kept = self.keeps && promised;
+            if !slopes.kept {
+                slopes.normal_matrix = equations.matrix;
             }
-            kept = self.keeps && promised;
-            normal_matrix = if kept { normal_matrix } else { whole };
         }
-        let covariance = normal_matrix.cholesky().map(|f| f.inverse());
-        Ok(Minimum { contacts, chi2, covariance, signal })
+        let covariance = slopes.normal_matrix.cholesky().map(|f| f.inverse());
+        Ok(Minimum { contacts: at.contacts, chi2: at.chi2, covariance, signal: at.signal })
+    }
+
+    /// Residuals at these contacts; their derivatives go to `slopes`, unless those that are there still hold. `None` where the model
+    /// has no derivatives.
+    fn linearise(&self, at: &Iterate, slopes: &mut Slopes) -> Option<DVector<f64>> {
+        let channels = self.data.len();
+        let mut residuals = DVector::zeros(channels);
+        let mut now = vec![0.0; channels];
+        for (i, (datum, model)) in self.data.iter().zip(&at.signal).enumerate() {
+            (residuals[i], now[i]) = datum.residual(*model);
+        }
+        slopes.kept &= now == slopes.weights;
+        if !slopes.kept {
+            slopes.weights = now;
+            // Derivatives of the residuals by every unknown.
+            let stimulus = Stimulus { contacts: at.contacts.clone(), ..Stimulus::default() };
+            let out = slopes.jacobian.as_mut_slice();
+            // Beside an edge of the surface, where its normal jumps, a sheared contact may pull at its neighbours' locations: as far as here
+            // the model knows an answer.
+            if self.model.jacobian(&stimulus, self.unknowns, &self.differences(), out).is_err() {
+                return None;
+            }
+            for mut column in slopes.jacobian.column_iter_mut() {
+                for ((slope, weight), gain) in column.iter_mut().zip(&slopes.weights).zip(self.gains) {
+                    *slope *= weight * gain;
+                }
+            }
+            slopes.normal_matrix = slopes.jacobian.tr_mul(&slopes.jacobian);
+        }
+        Some(residuals)
+    }
+
+    /// The normal equations of the next step, with the prior's part.
+    fn equations(&self, contacts: &[Indentation], slopes: &Slopes, residuals: &DVector<f64>) -> Equations {
+        let mut gradient = slopes.jacobian.tr_mul(residuals);
+        let expected = self.expected_shears(contacts);
+        let mut matrix = slopes.normal_matrix.clone();
+        self.add_prior(contacts, &expected, &mut matrix, &mut gradient);
+        Equations { matrix, gradient, expected }
+    }
+
+    /// Goes to where damped equations lead and the sum of squares is less. Whether that gains what derivatives say, so that they can be
+    /// kept; `None` where there is nothing left to gain. `kept` says whether derivatives are those of a place near by.
+    fn step(
+        &self,
+        at: &mut Iterate,
+        Equations { matrix, gradient, expected }: &Equations,
+        kept: bool,
+        damping: &mut f64,
+    ) -> Option<bool> {
+        let list = self.unknowns.list();
+        let before = at.chi2 + self.penalty(&at.contacts, expected);
+        for _ in 0..8 {
+            let mut damped = matrix.clone();
+            for d in 0..damped.nrows() {
+                let diagonal = damped[(d, d)];
+                damped[(d, d)] = diagonal * (1.0 + *damping) + 1e-30;
+            }
+            let Some(factor) = damped.cholesky() else {
+                *damping *= 10.0;
+                continue;
+            };
+            let change = -factor.solve(gradient);
+            let changes = change.as_slice().chunks_exact(list.len());
+            let moved = at.contacts.iter().zip(changes);
+            let tried: Vec<Indentation> = moved.map(|(c, change)| self.stepped(c, list, change)).collect();
+            let now = match self.signal(&tried, &mut at.spare) {
+                Ok(()) => self.chi2(&at.spare),
+                // For the same reason: a shorter step.
+                Err(_) => f64::INFINITY,
+            };
+            let after = now + self.penalty(&tried, expected);
+            if after < before {
+                let gain = before - after;
+                // What the step gains by these derivatives.
+                let promised = -2.0 * gradient.dot(&change) - change.dot(&(matrix * &change));
+                at.contacts = tried;
+                std::mem::swap(&mut at.signal, &mut at.spare);
+                at.chi2 = now;
+                *damping = (*damping * 0.1).max(1e-9);
+                // What is left to gain is far below what noise does.
+                return (gain > self.least_gain).then_some((gain - promised).abs() < KEPT * promised);
+            }
+            // Derivatives of another place lead nowhere from here.
+            if kept {
+                return Some(false);
+            }
+            *damping *= 10.0;
+        }
+        None
     }
 
     /// \[N\] standard deviation of the shear of each contact before the readings; infinite where any is as likely. The pressing force that

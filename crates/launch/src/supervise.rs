@@ -10,6 +10,7 @@ use nix::unistd::Pid;
 use tokio::process::Child;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::watch;
+use tokio::task::JoinHandle;
 
 use crate::backoff::Restarts;
 use crate::error::LaunchError;
@@ -17,13 +18,13 @@ use crate::guard::{Guard, Starter};
 use crate::log::{Level, LogOptions, Tap, Writer};
 use crate::plan::{Plan, Process, Ready, Restart};
 
+use ready::Signs;
 pub(crate) use system::exit_text;
-use system::{gather, identity, is_ignored};
+use system::{gather, is_ignored};
 
+mod ready;
 mod system;
 
-/// How often a file is looked for.
-const LOOK: Duration = Duration::from_millis(20);
 /// Longest wait for the rest of what a process printed, after its end: what it started may hold the pipe open.
 const LAST_WORDS: Duration = Duration::from_millis(500);
 /// Wait between SIGTERM and SIGKILL where the launch shall hurry.
@@ -302,93 +303,15 @@ impl Launch {
         true
     }
 
+    /// Starts a process and waits for its end.
     async fn run_once(&self, index: usize) -> io::Result<End> {
         let process = &self.processes[index];
-        let before = match &process.ready {
-            Some(Ready::File { path, .. }) => identity(path),
-            _ => None,
-        };
-        let mut command = Command::new(&process.program);
-        command
-            .args(&process.arguments)
-            .envs(&process.environment)
-            .current_dir(&process.directory)
-            .stdin(Stdio::null())
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped());
-        let mut child = self.starter.start(command).await?;
+        let signs = Signs::before_start(process);
+        let mut child = self.starter.start(command(process)).await?;
         let group = child.id().and_then(|id| i32::try_from(id).ok()).map(Group);
-        if let (Some(guard), Some(Group(id))) = (&self.guard, group) {
-            guard.tell(id, true);
-        }
-        self.say(Level::Info, format!("{} started, process {}", process.label, group.map_or(0, |g| g.0)));
-        {
-            let mut started = lock(&self.started);
-            if !started.contains(&index) {
-                started.push(index);
-            }
-        }
-        self.states[index].send_modify(|state| state.met = true);
-
-        let seen = Arc::new(watch::Sender::new(false));
-        let pattern = match &process.ready {
-            Some(Ready::Line { pattern, .. }) => Some(pattern.clone()),
-            _ => None,
-        };
-        let mut readers = Vec::new();
-        if let Some(pipe) = child.stdout.take() {
-            readers.push(gather(pipe, self.taps[index].clone(), pattern.clone(), Arc::clone(&seen)));
-        }
-        if let Some(pipe) = child.stderr.take() {
-            readers.push(gather(pipe, self.taps[index].clone(), pattern, Arc::clone(&seen)));
-        }
-
-        let ready = async {
-            let within = match &process.ready {
-                None => return true,
-                Some(Ready::File { within, .. } | Ready::Line { within, .. }) => *within,
-            };
-            tokio::time::timeout(within, async {
-                match &process.ready {
-                    Some(Ready::File { path, .. }) => loop {
-                        let now = identity(path);
-                        if now.is_some() && now != before {
-                            return;
-                        }
-                        tokio::time::sleep(LOOK).await;
-                    },
-                    _ => until(&seen, |seen| *seen).await,
-                }
-            })
-            .await
-            .is_ok()
-        };
-        let mut ready = std::pin::pin!(ready);
-        let mut waiting = true;
-        let end = loop {
-            tokio::select! {
-                biased;
-                in_time = &mut ready, if waiting => {
-                    waiting = false;
-                    if in_time {
-                        // Said before those that wait for it hear of it, so that the log is in order.
-                        if process.ready.is_some() {
-                            self.say(Level::Info, format!("{} is ready", process.label));
-                        }
-                        self.states[index].send_modify(|state| state.ready = true);
-                    } else {
-                        break self.end(index, &mut child, group).await.map(End::NotReady);
-                    }
-                }
-                status = child.wait() => break status.map(End::Itself),
-                () = until(&self.stops[index], |stop| *stop) => {
-                    break self.end(index, &mut child, group).await.map(|status| {
-                        self.say(Level::Info, format!("{} {}", process.label, exit_text(status)));
-                        End::Stopped
-                    });
-                }
-            }
-        };
+        self.note_start(index, group);
+        let readers = self.readers(index, &mut child, &signs);
+        let end = self.until_end(index, &mut child, group, &signs).await;
         if let Some(group) = group {
             // What it started ends with it.
             group.signal(Signal::SIGKILL);
@@ -404,14 +327,76 @@ impl Launch {
         }
         self.taps[index].confess(true);
         // It may have said so with its last words.
-        let left = match &process.ready {
-            Some(Ready::File { path, .. }) => identity(path).is_some_and(|now| Some(now) != before),
-            _ => *seen.borrow(),
-        };
-        if left {
+        if signs.are_there(process) {
             self.states[index].send_modify(|state| state.ready = true);
         }
         end
+    }
+
+    /// Says that a process was started, to people, to the guard and to those that wait for it.
+    fn note_start(&self, index: usize, group: Option<Group>) {
+        if let (Some(guard), Some(Group(id))) = (&self.guard, group) {
+            guard.tell(id, true);
+        }
+        let label = &self.processes[index].label;
+        self.say(Level::Info, format!("{label} started, process {}", group.map_or(0, |g| g.0)));
+        let mut started = lock(&self.started);
+        if !started.contains(&index) {
+            started.push(index);
+        }
+        drop(started);
+        self.states[index].send_modify(|state| state.met = true);
+    }
+
+    /// Reads what a process prints.
+    fn readers(&self, index: usize, child: &mut Child, signs: &Signs) -> Vec<JoinHandle<()>> {
+        let pattern = match &self.processes[index].ready {
+            Some(Ready::Line { pattern, .. }) => Some(pattern.clone()),
+            _ => None,
+        };
+        let mut readers = Vec::new();
+        if let Some(pipe) = child.stdout.take() {
+            readers.push(gather(pipe, self.taps[index].clone(), pattern.clone(), Arc::clone(&signs.seen)));
+        }
+        if let Some(pipe) = child.stderr.take() {
+            readers.push(gather(pipe, self.taps[index].clone(), pattern, Arc::clone(&signs.seen)));
+        }
+        readers
+    }
+
+    /// Waits until a process ends. It is ended where it is not ready in time, or is to stop.
+    async fn until_end(
+        &self,
+        index: usize,
+        child: &mut Child,
+        group: Option<Group>,
+        signs: &Signs,
+    ) -> io::Result<End> {
+        let process = &self.processes[index];
+        let mut ready = std::pin::pin!(signs.in_time(process));
+        let mut waiting = true;
+        loop {
+            tokio::select! {
+                biased;
+                in_time = &mut ready, if waiting => {
+                    waiting = false;
+                    if !in_time {
+                        return self.end(index, child, group).await.map(End::NotReady);
+                    }
+                    // Said before those that wait for it hear of it, so that the log is in order.
+                    if process.ready.is_some() {
+                        self.say(Level::Info, format!("{} is ready", process.label));
+                    }
+                    self.states[index].send_modify(|state| state.ready = true);
+                }
+                status = child.wait() => return status.map(End::Itself),
+                () = until(&self.stops[index], |stop| *stop) => {
+                    let status = self.end(index, child, group).await?;
+                    self.say(Level::Info, format!("{} {}", process.label, exit_text(status)));
+                    return Ok(End::Stopped);
+                }
+            }
+        }
     }
 
     /// Asks a process to end, less and less politely.
@@ -444,6 +429,19 @@ impl Launch {
         group.signal(Signal::SIGKILL);
         child.wait().await
     }
+}
+
+/// How a process is started.
+fn command(process: &Process) -> Command {
+    let mut command = Command::new(&process.program);
+    command
+        .args(&process.arguments)
+        .envs(&process.environment)
+        .current_dir(&process.directory)
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped());
+    command
 }
 
 /// How one run of a process ended.

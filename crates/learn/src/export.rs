@@ -18,13 +18,14 @@
 //!
 //! The same in JSON is in the file: key `dermis` of the Parquet metadata, `schema.json` in the NPZ.
 
+mod columns;
+
 use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use dermis_skin::SkinDescription;
 use npyz::WriterBuilder;
 use parquet::basic::{Compression, LogicalType, Repetition, Type as Physical, ZstdLevel};
 use parquet::column::writer::ColumnWriter;
@@ -35,7 +36,7 @@ use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::types::Type;
 use serde_json::json;
 
-use crate::dataset::{Dataset, Run, Sample, Truth};
+use crate::dataset::{Dataset, Run, Sample};
 use crate::{LearnError, SplitConfig};
 
 /// Rows that are encoded together; what is held in memory beside the data set is one column of them.
@@ -161,13 +162,9 @@ struct Table<'a> {
     schema: String,
 }
 
-fn number(truth: Option<&Truth>, name: &str) -> f64 {
-    truth.and_then(|t| t.value(name)).unwrap_or(f64::NAN)
-}
-
 impl<'a> Table<'a> {
     fn new(data: &'a Dataset, index: usize, run: &Run, options: &ExportOptions) -> Self {
-        let columns = columns(data.skin(), options.tared);
+        let columns = columns::columns(data.skin(), options.tared);
         let described: Vec<_> = columns
             .iter()
             .map(|c| json!({ "name": c.name, "parts": c.parts, "unit": c.unit, "meaning": c.meaning }))
@@ -340,137 +337,6 @@ impl Column {
         }
         Ok(())
     }
-}
-
-fn columns(skin: &SkinDescription, tared: bool) -> Vec<Column> {
-    let channels: Vec<String> = skin.channels().iter().map(|c| c.name.clone()).collect();
-    let axes = || ["x", "y", "z"].map(str::to_owned).to_vec();
-    let one = |name, unit: &str, meaning, values| Column {
-        name,
-        unit: unit.to_owned(),
-        meaning,
-        parts: Vec::new(),
-        values,
-    };
-    let many = |name, unit: &str, meaning, parts, values| Column {
-        name,
-        unit: unit.to_owned(),
-        meaning,
-        parts,
-        values,
-    };
-    let nan = |values: &[f32], i: usize| values.get(i).copied().unwrap_or(f32::NAN);
-    let mut all = vec![
-        one(
-            "stamp",
-            "ns",
-            "when the frame was acquired, since 1970",
-            Values::Whole(Box::new(|s, _| s.frame.stamp)),
-        ),
-        one(
-            "sequence",
-            "1",
-            "counts every frame of the device; a step > 1 is a loss",
-            Values::Whole(Box::new(|s, _| s.frame.sequence.cast_signed())),
-        ),
-        many(
-            "values",
-            &skin.unit,
-            "readings as the device gave them, NaN where invalid; channel.* in Parquet",
-            channels.clone(),
-            Values::Single(Box::new(move |s, i| nan(&s.frame.values, i))),
-        ),
-    ];
-    if tared {
-        all.push(many(
-            "tared",
-            &skin.unit,
-            "readings minus their zero, NaN where it is unknown",
-            channels.clone(),
-            Values::Single(Box::new(move |s, i| nan(&s.tared, i))),
-        ));
-    }
-    let along =
-        |name: [&'static str; 3]| Values::Double(Box::new(move |s, i| number(s.truth.as_ref(), name[i])));
-    all.extend([
-        many(
-            "flags",
-            "bits",
-            "FLAG_* of dermis_msgs/TaxelFrame; 0 is healthy",
-            channels,
-            Values::Byte(Box::new(|s, i| s.frame.flags.get(i).map_or(0, |f| f.bits()))),
-        ),
-        one(
-            "temperature",
-            "K",
-            "of the skin, NaN where unknown",
-            Values::Single(Box::new(|s, _| s.frame.temperature)),
-        ),
-        one(
-            "contacts",
-            "1",
-            "true contacts, -1 without ground truth",
-            Values::Whole(Box::new(|s, _| s.truth.as_ref().map_or(-1, |t| t.contacts.len() as i64))),
-        ),
-        one(
-            "idle",
-            "1",
-            "1 where it is known that nothing is near",
-            Values::Byte(Box::new(|s, _| u8::from(s.truth.as_ref().is_some_and(|t| t.idle)))),
-        ),
-        one(
-            "press",
-            "1",
-            "identity of the press within its session, -1 without ground truth",
-            Values::Whole(Box::new(|s, _| s.truth.as_ref().map_or(-1, |t| t.press.cast_signed()))),
-        ),
-        one(
-            "location",
-            "1",
-            "identity of the place, -1 without ground truth",
-            Values::Whole(Box::new(|s, _| s.truth.as_ref().map_or(-1, |t| i64::from(t.location)))),
-        ),
-        many(
-            "position",
-            "m",
-            "first point of the only contact on the undeformed surface, in the skin's link",
-            axes(),
-            along(["position.x", "position.y", "position.z"]),
-        ),
-        many(
-            "normal",
-            "1",
-            "out of the skin at the only contact",
-            axes(),
-            Values::Double(Box::new(|s, i| {
-                s.truth.as_ref().and_then(Truth::single).map_or(f64::NAN, |c| c.normal[i])
-            })),
-        ),
-        many(
-            "force",
-            "N",
-            "exerted on the skin in its link, 0 where it is untouched",
-            axes(),
-            along(["force.x", "force.y", "force.z"]),
-        ),
-        one(
-            "force_normal",
-            "N",
-            "pressing force, positive; 0 where it is untouched",
-            Values::Double(Box::new(|s, _| number(s.truth.as_ref(), "force.normal"))),
-        ),
-        one(
-            "split",
-            "",
-            "train, held_out, or empty without ground truth",
-            Values::Text(|held_out| match held_out {
-                Some(true) => "held_out",
-                Some(false) => "train",
-                None => "",
-            }),
-        ),
-    ]);
-    all
 }
 
 #[cfg(test)]

@@ -16,7 +16,7 @@ use crate::dataset::{Dataset, SampleId, Truth};
 use crate::evaluate::Evaluation;
 use crate::evaluator::GraphEvaluator;
 use crate::findings::Findings;
-use crate::plot::Report;
+use crate::plot::{Point, Report};
 use crate::target::Maps;
 use crate::{LearnError, SplitConfig, card};
 
@@ -170,10 +170,28 @@ const ROUNDING: f32 = 1e-3;
 ///
 /// [`LearnError::Unfit`] says all that does not fit and what to do.
 pub fn import_onnx(request: &ImportRequest<'_>) -> Result<Imported, LearnError> {
-    let (skin, wiring) = (request.skin, request.wiring);
     let place = format!("model file {}", request.onnx.display());
     let raw =
         dermis_io::read(request.onnx, dermis_io::TABLE).map_err(LearnError::io(request.onnx, "read"))?;
+    let fitting = check(request, &raw, &place)?;
+    let (model, runtimes) = trial(request, &fitting.graph, &fitting.interface, &fitting.signature, &place)?;
+    let measured = measure(request, &fitting, model)?;
+    write_bundle(request, fitting, measured.as_ref(), &runtimes)?;
+    Ok(Imported { runtimes, measured: measured.map(|m| m.evaluation) })
+}
+
+/// A graph that fits the skin, and what it takes and gives.
+struct Fitting {
+    graph: Vec<u8>,
+    signature: Signature,
+    interface: Interface,
+    features: FeatureConfig,
+    outputs: OutputConfig,
+}
+
+/// Whether a graph takes what the skin gives and gives what was named.
+fn check(request: &ImportRequest<'_>, raw: &[u8], place: &str) -> Result<Fitting, LearnError> {
+    let (skin, wiring) = (request.skin, request.wiring);
     let mut findings = Findings::default();
     // A grid that is too large is refused before anything is made of its size.
     let numbers = wiring.image.map_or(skin.channels().len(), |grid| grid.numbers().min(ImageGrid::MOST + 1));
@@ -192,19 +210,19 @@ pub fn import_onnx(request: &ImportRequest<'_>) -> Result<Imported, LearnError> 
             "give one number for all, or one each",
         );
     }
-    let read = with_batch_of_one(&raw).and_then(|graph| Ok((Signature::read(&graph)?, graph)));
+    let read = with_batch_of_one(raw).and_then(|graph| Ok((Signature::read(&graph)?, graph)));
     let (signature, graph) = match read {
         Ok(read) => read,
         Err(error) => {
-            findings.fatal(&place, error.to_string(), "");
+            findings.fatal(place, error.to_string(), "");
             return Err(LearnError::Unfit(findings));
         }
     };
     let of = if wiring.image.is_some() { "numbers of `image`" } else { "channels" };
     let wanted = format!("{} numbers for the {numbers} {of} of skin `{}`", features.input_len(), skin.name);
-    let inputs = ports(&signature.inputs, "input", features.input_len(), &wanted, &place, &mut findings);
+    let inputs = ports(&signature.inputs, "input", features.input_len(), &wanted, place, &mut findings);
     let wanted = format!("{} numbers for {}", outputs.len(), request.outputs.join(", "));
-    let outs = ports(&signature.outputs, "output", outputs.len(), &wanted, &place, &mut findings);
+    let outs = ports(&signature.outputs, "output", outputs.len(), &wanted, place, &mut findings);
     let foreign: Vec<String> = signature
         .opsets
         .iter()
@@ -213,7 +231,7 @@ pub fn import_onnx(request: &ImportRequest<'_>) -> Result<Imported, LearnError> 
         .collect();
     if !foreign.is_empty() {
         findings.notice(
-            &place,
+            place,
             format!("imports the operators of {}", foreign.join(", ")),
             "not every runtime knows them",
         );
@@ -222,38 +240,62 @@ pub fn import_onnx(request: &ImportRequest<'_>) -> Result<Imported, LearnError> 
         return Err(LearnError::Unfit(findings));
     };
     let interface = Interface::of(&inputs, &outs);
-    let (model, runtimes) = trial(request, &graph, &interface, &signature, &place)?;
+    Ok(Fitting { graph, signature, interface, features, outputs })
+}
 
-    let decoder = Outputs::new(outputs.clone())?;
-    let mut evaluator =
-        GraphEvaluator::new(request.onnx, (model, decoder), (&features, wiring.baseline), skin)?;
-    let mut measured = None;
-    if let Some((data, split)) = request.data {
-        let targets: Vec<&str> = request.outputs.iter().map(String::as_str).collect();
-        let known: Vec<&str> = targets.into_iter().filter(|t| Truth::TARGETS.contains(t)).collect();
-        let found = data.check(&known, wiring.baseline, &split.unwrap_or_default());
-        if split.is_some() && found.is_fatal() {
-            return Err(LearnError::Unfit(found));
-        }
-        let held_out = split.map(|s| s.apply(data)).transpose()?.map(|s| s.test);
-        let only: Option<BTreeSet<SampleId>> = held_out.map(|ids| ids.into_iter().collect());
-        let name = split.map_or_else(|| "all labelled frames".to_owned(), |s| s.describe());
-        // There is no forward model here: displacements are not compared.
-        let maps = Maps::new(data.skin(), None, &[])?;
-        measured = Some((data, split, evaluator.evaluate(data, only.as_ref(), maps, name)?));
+/// What a model makes of data.
+struct Measured<'a> {
+    data: &'a Dataset,
+    split: Option<SplitConfig>,
+    evaluation: Evaluation,
+    points: Vec<Point>,
+}
+
+/// Measures the model, where there are data.
+fn measure<'a>(
+    request: &ImportRequest<'a>,
+    fitting: &Fitting,
+    model: Model,
+) -> Result<Option<Measured<'a>>, LearnError> {
+    let baseline = request.wiring.baseline;
+    let decoder = Outputs::new(fitting.outputs.clone())?;
+    let taken = (&fitting.features, baseline);
+    let mut evaluator = GraphEvaluator::new(request.onnx, (model, decoder), taken, request.skin)?;
+    let Some((data, split)) = request.data else { return Ok(None) };
+    let targets = request.outputs.iter().map(String::as_str);
+    let known: Vec<&str> = targets.filter(|t| Truth::TARGETS.contains(t)).collect();
+    let found = data.check(&known, baseline, &split.unwrap_or_default());
+    if split.is_some() && found.is_fatal() {
+        return Err(LearnError::Unfit(found));
     }
+    let held_out = split.map(|s| s.apply(data)).transpose()?.map(|s| s.test);
+    let only: Option<BTreeSet<SampleId>> = held_out.map(|ids| ids.into_iter().collect());
+    let name = split.map_or_else(|| "all labelled frames".to_owned(), |s| s.describe());
+    // There is no forward model here: displacements are not compared.
+    let maps = Maps::new(data.skin(), None, &[])?;
+    let (evaluation, points) = evaluator.evaluate(data, only.as_ref(), maps, name)?;
+    Ok(Some(Measured { data, split, evaluation, points }))
+}
 
+/// Writes the bundle, with what was measured of it.
+fn write_bundle(
+    request: &ImportRequest<'_>,
+    fitting: Fitting,
+    measured: Option<&Measured<'_>>,
+    runtimes: &[String],
+) -> Result<(), LearnError> {
+    let (skin, wiring) = (request.skin, request.wiring);
+    let Fitting { graph, signature, interface, features, outputs } = fitting;
     let training = TrainingSection {
-        data_hash: measured.as_ref().map(|(data, ..)| data.hash()).unwrap_or_default(),
-        held_out: measured.as_ref().map(|(_, _, (e, _))| e.data.clone()).unwrap_or_default(),
+        data_hash: measured.map(|m| m.data.hash()).unwrap_or_default(),
+        held_out: measured.map(|m| m.evaluation.data.clone()).unwrap_or_default(),
         ..TrainingSection::default()
     };
-    let mut manifest =
-        Manifest::new(skin.name.clone(), skin, wiring.baseline, features.clone(), outputs, training);
+    let mut manifest = Manifest::new(skin.name.clone(), skin, wiring.baseline, features, outputs, training);
     manifest.description.clone_from(&wiring.description);
     let mut report = Report::new(format!("Model for skin {}", skin.name));
     let mut card = BTreeMap::new();
-    if let Some((data, split, (evaluation, points))) = &measured {
+    if let Some(Measured { data, split, evaluation, points }) = measured {
         card::measured(&mut manifest, evaluation);
         let ids: Vec<SampleId> = data.labelled().map(|(id, ..)| id).collect();
         manifest.force_range = card::force_range(data, &ids);
@@ -279,7 +321,7 @@ pub fn import_onnx(request: &ImportRequest<'_>) -> Result<Imported, LearnError> 
         let path = request.out.join("report.html");
         std::fs::write(&path, report.html()).map_err(LearnError::io(&path, "written"))?;
     }
-    Ok(Imported { runtimes, measured: measured.map(|(_, _, (evaluation, _))| evaluation) })
+    Ok(())
 }
 
 /// Runs the graph once in the embedded runtime and once in the native one, where that is there.

@@ -1,14 +1,14 @@
 //! Several contacts from few readings by way of a simulation, in the manner of HapDefX (H. Sun and G. Martius, *Front.
 //! Neurorobot.* 13 (2019) 51).
 //!
-//! A device can be pressed at one place at a time all over, but hardly at all pairs, triples and quadruples of locations; its
+//! A device can be pressed at one location at a time all over, but hardly at all pairs, triples and quadruples of locations; its
 //! forward model can. So three networks share the work:
 //!
 //! | network | from → to | learned from |
 //! |---|---|---|
 //! | transfer | readings of the device → [virtual sensors](VirtualSensors) of the model | recorded single contacts |
 //! | reconstruction | virtual sensors → displacement of every point of the surface | simulated contacts, one to four |
-//! | sensitivity | place and displacement of a peak → force | peaks of reconstructed maps |
+//! | sensitivity | position and displacement of a peak → force | peaks of reconstructed maps |
 //!
 //! Peaks of the map ([`PeakFinder`](dermis_inversion::PeakFinder)) are contacts; the weak ones are suppressed. Nothing here knows
 //! a sensor family: a [`ForwardModel`](dermis_model::ForwardModel) with displacements is all.

@@ -1,4 +1,4 @@
-//! What is asked of a contact.
+//! Unknowns of a contact, which an inverse estimates.
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};

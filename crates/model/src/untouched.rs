@@ -4,7 +4,7 @@ use dermis_skin::ModelError;
 
 use crate::ForwardModel;
 
-/// The untouched readings of a model, asked once: a signal is a reading minus these.
+/// The untouched readings of a model, computed once: a signal is a reading minus these.
 ///
 /// Where all of them are 0, as for skins whose readings are signals already, nothing is subtracted, so that signals are readings
 /// bit for bit.

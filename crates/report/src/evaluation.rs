@@ -79,7 +79,7 @@ fn table(own: &Evaluation, others: &[BaselineComparison]) -> String {
     }
     if out.is_empty() {
         out.push_str(
-            "\n  no errors by force: neither place nor normal force of these contacts is given and known\n",
+            "\n  no errors by force: neither position nor normal force of these contacts is given and known\n",
         );
     }
     out

@@ -119,9 +119,8 @@ pub fn trained(findings: &train::Findings) -> String {
 /// The comparison, for people.
 #[must_use]
 pub fn comparison(findings: &compare::Findings) -> String {
-    let compare::Findings { request, skin, rows, frames, asks, .. } = findings;
-    let bins = &request.bins;
-    let mut out = format!("{}: ways to contacts on recordings that nothing was learned from\n", skin.name);
+    let mut out =
+        format!("{}: ways to contacts on recordings that nothing was learned from\n", findings.skin.name);
     for left_out in &findings.left_out {
         let _ = writeln!(out, "{left_out}");
     }
@@ -129,83 +128,11 @@ pub fn comparison(findings: &compare::Findings) -> String {
         "a contact that is not found counts as far away as the middle of the surface, and as a force of 0\n",
     );
     for kind in Kind::ALL {
-        let found: Vec<&compare::Row> = rows.iter().filter(|r| r.kind == kind.name()).collect();
-        if found.is_empty() {
-            continue;
-        }
-        let _ = writeln!(
-            out,
-            "\n{}: {} frames\n{:<38}{:>10}{:>10}{:>10}{:>10}{:>10}{:>10}{:>12}",
-            kind.in_words(),
-            frames.get(&kind).copied().unwrap_or(0),
-            "",
-            "mean mm",
-            "RMS mm",
-            "median",
-            "mean N",
-            "RMS N",
-            "lost %",
-            "number ok %"
-        );
-        for r in found {
-            let mut line = |name: &str, e: &compare::Errors| {
-                let right = e.count_right.map_or_else(|| "-".to_owned(), |v| format!("{:.1}", v * 100.0));
-                let _ = writeln!(
-                    out,
-                    "{name:<38}{:>10.2}{:>10.2}{:>10.2}{:>10.2}{:>10.2}{:>10.1}{right:>12}",
-                    e.position_mean * 1e3,
-                    e.position_rms * 1e3,
-                    e.position_median * 1e3,
-                    e.force_mean,
-                    e.force_rms,
-                    e.lost * 100.0
-                );
-            };
-            match &r.with_everything {
-                Some(everything) => {
-                    line(&r.method, everything);
-                    line("  where the surface gives way", &r.errors);
-                }
-                None => line(&r.method, &r.errors),
-            }
-            if let Some(found) = &r.found {
-                line("  of these, contacts that were found", found);
-            }
-        }
+        errors_of_kind(&mut out, findings, kind);
     }
-    for (quantity, of_bound, unit, factor) in
-        [("position", "position", "mm", 1e3), ("force.normal", "normal_force", "N", 1.0)]
-    {
-        let _ = write!(out, "\none contact, {quantity} RMSE [{unit}] by force [N]\n{:<38}", "");
-        for (i, from) in bins.iter().enumerate() {
-            let head = bins.get(i + 1).map_or_else(|| format!("{from}+"), |to| format!("{from}-{to}"));
-            let _ = write!(out, "{head:>10}");
-        }
-        let _ = writeln!(out);
-        let mut line = |name: &str, of: &dyn Fn(f64) -> Option<f64>| {
-            let _ = write!(out, "{name:<38}");
-            for from in bins {
-                let cell = of(*from).map_or_else(|| "-".to_owned(), |v| format!("{:.2}", v * factor));
-                let _ = write!(out, "{cell:>10}");
-            }
-            let _ = writeln!(out);
-        };
-        for r in rows {
-            let Some(by_force) = r.evaluation.as_ref().and_then(|e| e.by_force.get(quantity)) else {
-                continue;
-            };
-            line(&r.method, &|from| {
-                by_force.iter().find(|b| b.from.to_bits() == from.to_bits()).map(|b| b.rms)
-            });
-        }
-        if let Some(bound) = &findings.bound {
-            let cells = if of_bound == "position" { &bound.position } else { &bound.normal_force };
-            let at = |from: f64| cells.iter().find(|b| b.from.to_bits() == from.to_bits());
-            line("Cramér–Rao bound of the design", &|from| at(from).map(|b| b.rms));
-            line("  its median", &|from| at(from).and_then(|b| b.median));
-        }
-    }
-    for r in rows {
+    errors_by_force(&mut out, findings, "position", "mm", 1e3);
+    errors_by_force(&mut out, findings, "force.normal", "N", 1.0);
+    for r in &findings.rows {
         let Some(evaluation) = r.evaluation.as_ref().filter(|e| !e.against_bound.is_empty()) else {
             continue;
         };
@@ -218,12 +145,92 @@ pub fn comparison(findings: &compare::Findings) -> String {
         let _ = write!(out, "{}", bound.left_out);
     }
     let _ = writeln!(out);
-    for ask in asks {
+    for ask in &findings.asks {
         let reached = if ask.reached { "reached" } else { "missed" };
         let _ =
             writeln!(out, "{reached}: {} (target {}): {} by {}", ask.what, ask.target, ask.found, ask.method);
     }
     out
+}
+
+/// How far every method is off in frames of one kind.
+fn errors_of_kind(out: &mut String, findings: &compare::Findings, kind: Kind) {
+    let found: Vec<&compare::Row> = findings.rows.iter().filter(|r| r.kind == kind.name()).collect();
+    if found.is_empty() {
+        return;
+    }
+    let _ = writeln!(
+        out,
+        "\n{}: {} frames\n{:<38}{:>10}{:>10}{:>10}{:>10}{:>10}{:>10}{:>12}",
+        kind.in_words(),
+        findings.frames.get(&kind).copied().unwrap_or(0),
+        "",
+        "mean mm",
+        "RMS mm",
+        "median",
+        "mean N",
+        "RMS N",
+        "lost %",
+        "number ok %"
+    );
+    for r in found {
+        match &r.with_everything {
+            Some(everything) => {
+                errors(out, &r.method, everything);
+                errors(out, "  where the surface gives way", &r.errors);
+            }
+            None => errors(out, &r.method, &r.errors),
+        }
+        if let Some(found) = &r.found {
+            errors(out, "  of these, contacts that were found", found);
+        }
+    }
+}
+
+/// One line of errors.
+fn errors(out: &mut String, name: &str, e: &compare::Errors) {
+    let right = e.count_right.map_or_else(|| "-".to_owned(), |v| format!("{:.1}", v * 100.0));
+    let _ = writeln!(
+        out,
+        "{name:<38}{:>10.2}{:>10.2}{:>10.2}{:>10.2}{:>10.2}{:>10.1}{right:>12}",
+        e.position_mean * 1e3,
+        e.position_rms * 1e3,
+        e.position_median * 1e3,
+        e.force_mean,
+        e.force_rms,
+        e.lost * 100.0
+    );
+}
+
+/// How far every method is off in a quantity of one contact, by force, beside the bound: `factor` times as in SI units.
+fn errors_by_force(out: &mut String, findings: &compare::Findings, quantity: &str, unit: &str, factor: f64) {
+    let bins = &findings.request.bins;
+    let _ = write!(out, "\none contact, {quantity} RMSE [{unit}] by force [N]\n{:<38}", "");
+    for (i, from) in bins.iter().enumerate() {
+        let head = bins.get(i + 1).map_or_else(|| format!("{from}+"), |to| format!("{from}-{to}"));
+        let _ = write!(out, "{head:>10}");
+    }
+    let _ = writeln!(out);
+    let mut line = |name: &str, of: &dyn Fn(f64) -> Option<f64>| {
+        let _ = write!(out, "{name:<38}");
+        for from in bins {
+            let cell = of(*from).map_or_else(|| "-".to_owned(), |v| format!("{:.2}", v * factor));
+            let _ = write!(out, "{cell:>10}");
+        }
+        let _ = writeln!(out);
+    };
+    for r in &findings.rows {
+        let Some(by_force) = r.evaluation.as_ref().and_then(|e| e.by_force.get(quantity)) else {
+            continue;
+        };
+        line(&r.method, &|from| by_force.iter().find(|b| b.from.to_bits() == from.to_bits()).map(|b| b.rms));
+    }
+    if let Some(bound) = &findings.bound {
+        let cells = if quantity == "position" { &bound.position } else { &bound.normal_force };
+        let at = |from: f64| cells.iter().find(|b| b.from.to_bits() == from.to_bits());
+        line("Cramér–Rao bound of the design", &|from| at(from).map(|b| b.rms));
+        line("  its median", &|from| at(from).and_then(|b| b.median));
+    }
 }
 
 /// The page of a comparison.

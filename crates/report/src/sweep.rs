@@ -166,87 +166,7 @@ pub fn html(findings: &Findings, text: &str) -> Result<String> {
     let Findings { skin, sweeps, .. } = findings;
     let mut body = format!("<pre>{}</pre>\n", escape(text));
     for sweep in sweeps {
-        let x = |v: &Variant| sweep.parameter.shown(v.value);
-        let line = |name: &str, n: usize, of: &dyn Fn(&Figures) -> f64| {
-            Curve::new(name, n, sweep.variants.iter().map(|v| (x(v), of(&v.figures))).collect())
-        };
-        let now = |curve: &Curve| {
-            let at = sweep.variants.iter().position(|v| v.relative == 1.0);
-            let point = at.and_then(|i| curve.points.get(i)).copied();
-            Curve {
-                points: point.into_iter().collect(),
-                name: String::new(),
-                colour: curve.colour,
-                pen: Pen::Mark,
-            }
-        };
-        let label = sweep.parameter.label();
-        let chart = |title: &str, y: &str, lines: Vec<Curve>| {
-            let axes = Axes { size: (400, 280), ..Axes::new(title, label, y) };
-            let marked: Vec<Curve> = lines.iter().flat_map(|l| [l.clone(), now(l)]).collect();
-            // Axes without a value would be made up.
-            let known = lines.iter().flat_map(|l| &l.points).any(|p| p.1.is_finite());
-            known.then(|| curves(&axes, &marked)).transpose()
-        };
-        let pictures = [
-            chart(
-                "position",
-                "bound [mm]",
-                vec![
-                    line("RMS", 0, &|f| f.position.rms * 1e3),
-                    line("median", 1, &|f| f.position.median * 1e3),
-                ],
-            )?,
-            chart(
-                "force",
-                "bound [N]",
-                vec![line("RMS", 0, &|f| f.force.rms), line("median", 1, &|f| f.force.median)],
-            )?,
-            chart(
-                "minimum force",
-                "F_S [N]",
-                vec![
-                    line("median", 1, &|f| f.minimum_force.median),
-                    line("95 % of the surface", 2, &|f| f.minimum_force.p95),
-                ],
-            )?,
-            chart("super-resolution", "Ω", vec![line("by the bound", 0, &|f| f.factor)])?,
-        ];
-        let missing = ["the position", "the force", "F<sub>S</sub>", "Ω"];
-        let reasons = [NO_POSITION, NO_FORCE, NO_MINIMUM_FORCE, NO_POSITION];
-        let missing =
-            pictures.iter().zip(missing.iter().zip(reasons)).filter(|(picture, _)| picture.is_none());
-        let missing: String = missing
-            .map(|(_, (what, why))| {
-                format!("<p>There is no figure of {what}: it is {NOT_DETERMINED}. {why}</p>\n")
-            })
-            .collect();
-        let pictures: Vec<String> = pictures.into_iter().flatten().collect();
-        let _ = writeln!(body, "<h2>{}</h2>", escape(label));
-        let refused = if sweep.refused.is_empty() {
-            String::new()
-        } else {
-            format!(" Left out: {}.", escape(&sweep.refused.join("; ")))
-        };
-        let e = sweep.elasticity;
-        let changes = [
-            ("the position error", e.position),
-            ("the force error", e.force),
-            ("F<sub>S</sub>", e.minimum_force),
-            ("Ω", e.factor),
-        ];
-        let changes = changes.iter().filter(|(_, by)| by.is_finite());
-        let changes: Vec<String> = changes.map(|(name, by)| format!("{name} by {by:+.2} %")).collect();
-        let changes = if changes.is_empty() {
-            String::new()
-        } else {
-            format!(" One per cent more changes {}.", changes.join(", "))
-        };
-        body.push_str(&missing);
-        body.push_str(&figure(
-            &pictures,
-            &format!("Everything else as it is; dots mark the skin as it is.{changes}{refused}"),
-        ));
+        section(&mut body, sweep)?;
     }
     body.push_str(
         "<p>Errors are Cramér–Rao bounds of one contact from one frame, over the surface; F<sub>S</sub> is the force from which \
@@ -254,4 +174,82 @@ pub fn html(findings: &Findings, text: &str) -> Result<String> {
          the surface grows: the same number of taxels serves a larger skin.</p>\n",
     );
     Ok(page(&format!("{}: what a change of its design does", skin.name), &body))
+}
+
+/// What a change of one number does.
+fn section(body: &mut String, sweep: &Sweep) -> Result<()> {
+    let pictures = charts(sweep)?;
+    let missing = ["the position", "the force", "F<sub>S</sub>", "Ω"];
+    let reasons = [NO_POSITION, NO_FORCE, NO_MINIMUM_FORCE, NO_POSITION];
+    let missing = pictures.iter().zip(missing.iter().zip(reasons)).filter(|(picture, _)| picture.is_none());
+    let missing: String = missing
+        .map(|(_, (what, why))| {
+            format!("<p>There is no figure of {what}: it is {NOT_DETERMINED}. {why}</p>\n")
+        })
+        .collect();
+    let pictures: Vec<String> = pictures.into_iter().flatten().collect();
+    let _ = writeln!(body, "<h2>{}</h2>", escape(sweep.parameter.label()));
+    let refused = if sweep.refused.is_empty() {
+        String::new()
+    } else {
+        format!(" Left out: {}.", escape(&sweep.refused.join("; ")))
+    };
+    let e = sweep.elasticity;
+    let changes = [
+        ("the position error", e.position),
+        ("the force error", e.force),
+        ("F<sub>S</sub>", e.minimum_force),
+        ("Ω", e.factor),
+    ];
+    let changes = changes.iter().filter(|(_, by)| by.is_finite());
+    let changes: Vec<String> = changes.map(|(name, by)| format!("{name} by {by:+.2} %")).collect();
+    let changes = if changes.is_empty() {
+        String::new()
+    } else {
+        format!(" One per cent more changes {}.", changes.join(", "))
+    };
+    body.push_str(&missing);
+    body.push_str(&figure(
+        &pictures,
+        &format!("Everything else as it is; dots mark the skin as it is.{changes}{refused}"),
+    ));
+    Ok(())
+}
+
+/// Position, force, minimum force and super-resolution over the values of one number; none of a figure that is not determined anywhere.
+fn charts(sweep: &Sweep) -> Result<[Option<String>; 4]> {
+    let line = |name: &str, n: usize, of: &dyn Fn(&Figures) -> f64| {
+        let points = sweep.variants.iter().map(|v| (sweep.parameter.shown(v.value), of(&v.figures)));
+        Curve::new(name, n, points.collect())
+    };
+    let now = |curve: &Curve| {
+        let at = sweep.variants.iter().position(|v| v.relative == 1.0);
+        let point = at.and_then(|i| curve.points.get(i)).copied();
+        Curve {
+            points: point.into_iter().collect(),
+            name: String::new(),
+            colour: curve.colour,
+            pen: Pen::Mark,
+        }
+    };
+    let chart = |title: &str, y: &str, lines: &[Curve]| {
+        let axes = Axes { size: (400, 280), ..Axes::new(title, sweep.parameter.label(), y) };
+        let marked: Vec<Curve> = lines.iter().flat_map(|l| [l.clone(), now(l)]).collect();
+        // Axes without a value would be made up.
+        let known = lines.iter().flat_map(|l| &l.points).any(|p| p.1.is_finite());
+        known.then(|| curves(&axes, &marked)).transpose()
+    };
+    let position =
+        [line("RMS", 0, &|f| f.position.rms * 1e3), line("median", 1, &|f| f.position.median * 1e3)];
+    let force = [line("RMS", 0, &|f| f.force.rms), line("median", 1, &|f| f.force.median)];
+    let minimum_force = [
+        line("median", 1, &|f| f.minimum_force.median),
+        line("95 % of the surface", 2, &|f| f.minimum_force.p95),
+    ];
+    Ok([
+        chart("position", "bound [mm]", &position)?,
+        chart("force", "bound [N]", &force)?,
+        chart("minimum force", "F_S [N]", &minimum_force)?,
+        chart("super-resolution", "Ω", &[line("by the bound", 0, &|f| f.factor)])?,
+    ])
 }

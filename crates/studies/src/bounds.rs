@@ -42,7 +42,7 @@ const DISTANCES: std::ops::RangeInclusive<u32> = 1..=40;
 /// \[N\] range of forces that isolines and factors are computed for, and their step (thesis 5.7.1).
 const FORCES: [f64; 2] = [0.02, 1.5];
 const FORCE_STEP: f64 = 0.01;
-/// Forces of the maps over place and force.
+/// Forces of the maps over position and force.
 const MAP_FORCES: u32 = 28;
 /// Isolines of a taxel.
 const VALUES: i32 = 12;

@@ -101,8 +101,8 @@ pub fn collect(
     let dir = dir.as_ref();
     let seed = options.seed.unwrap_or(plan.seed);
     let timeline = Timeline::new(plan, model, seed)?;
-    let mut sampler = Sampler::new(model.as_ref(), skin, seed ^ 0x5eed_0001)?;
-    let mut truth = Truth::new(plan, options, seed);
+    let sampler = Sampler::new(model.as_ref(), skin, seed ^ 0x5eed_0001)?;
+    let truth = Truth::new(plan, options, seed);
     let session = format!("{}/{seed}", plan.name);
     let total = (timeline.duration() * skin.rate).ceil() as u64;
     let mut report = CollectReport {
@@ -114,17 +114,7 @@ pub fn collect(
         seed,
         interrupted: false,
     };
-    let json = |value: Result<String, serde_json::Error>| value.unwrap_or_default();
-    let custom = [
-        ("plan", plan.name.clone()),
-        ("plan_json", json(serde_json::to_string(plan))),
-        ("seed", seed.to_string()),
-        ("skin_hash", skin.hash()),
-        ("effects", json(serde_json::to_string(&skin.effects))),
-        ("force_noise", truth.force_noise.to_string()),
-        ("stage_noise", truth.stage_noise.to_string()),
-    ];
-
+    let custom = custom_data(plan, skin, seed, &truth);
     let is_type = |hash: &str| skin.is_type(hash, skin.type_name());
     let begun = if options.resume { resume::find(dir, &custom, is_type)? } else { resume::Found::Nothing };
     let begun = match begun {
@@ -139,6 +129,48 @@ pub fn collect(
     let start = options.start.or(begun.as_ref().map(Begun::start)).unwrap_or_else(dermis_transport::now_ns);
     report.resumed = begun.as_ref().map_or(0, Begun::frames);
 
+    let writer = begin(dir, custom, model.as_ref(), options)?;
+    let mut out = Output { writer, begun };
+    options.progress.set_length(total);
+    let surface = model.surface();
+    let frame = Frame::default();
+    let mut recorder = Recorder { skin, surface, options, session, start, timeline, sampler, truth, frame };
+    let written = out
+        .write("skin_geometry", &skin.geometry_message(surface, start), start)
+        // What the start was is on the disk from here on.
+        .and_then(|()| Ok(out.writer.flush()?))
+        .and_then(|()| recorder.write_all(total, &mut out, &mut report));
+    if report.interrupted || written.is_err() {
+        out.writer.set_custom(INTERRUPTED, "true");
+    }
+    report.frames = report.frames.max(out.finish()?);
+    report.duration = report.frames as f64 / skin.rate;
+    options.progress.set_position(report.frames);
+    options.progress.finish();
+    written.map(|()| report)
+}
+
+/// What the bag says of its making.
+fn custom_data(plan: &Plan, skin: &SkinDescription, seed: u64, truth: &Truth) -> [(&'static str, String); 7] {
+    let json = |value: Result<String, serde_json::Error>| value.unwrap_or_default();
+    [
+        ("plan", plan.name.clone()),
+        ("plan_json", json(serde_json::to_string(plan))),
+        ("seed", seed.to_string()),
+        ("skin_hash", skin.hash()),
+        ("effects", json(serde_json::to_string(&skin.effects))),
+        ("force_noise", truth.force_noise.to_string()),
+        ("stage_noise", truth.stage_noise.to_string()),
+    ]
+}
+
+/// Begins the bag, with a topic for each kind of message.
+fn begin(
+    dir: &Path,
+    custom: [(&'static str, String); 7],
+    model: &dyn ForwardModel,
+    options: &CollectOptions,
+) -> Result<BagWriter, TestbedError> {
     let mut writer = BagWriter::create(dir)?;
     for (key, value) in custom {
         writer.set_custom(key, value);
@@ -151,61 +183,66 @@ pub fn collect(
     if pictured && options.images {
         writer.add_topic("image", TypeSupport::of::<Image>(), BagQos::sensor_data())?;
     }
-    let mut out = Output { writer, begun };
-    options.progress.set_length(total);
-    let mut frame = Frame::default();
-    let mut one = |index: u64, out: &mut Output| -> Result<u64, TestbedError> {
-        let t = index as f64 / skin.rate;
-        let mut moment = timeline.at(t);
-        sampler
-            .sample(t, &mut moment.stimulus, &mut frame)
+    Ok(writer)
+}
+
+/// Makes frames and their ground truth, one after the other.
+struct Recorder<'a> {
+    skin: &'a SkinDescription,
+    surface: &'a Surface,
+    options: &'a CollectOptions,
+    session: String,
+    start: Stamp,
+    timeline: Timeline,
+    sampler: Sampler<'a>,
+    truth: Truth,
+    frame: Frame,
+}
+
+impl Recorder<'_> {
+    /// Writes all frames; how far it got is in `report`.
+    fn write_all(
+        &mut self,
+        total: u64,
+        out: &mut Output,
+        report: &mut CollectReport,
+    ) -> Result<(), TestbedError> {
+        for index in 0..total {
+            if index % STRIDE == 0 {
+                self.options.progress.set_position(index);
+                if self.options.stop.load(Ordering::Relaxed) {
+                    report.interrupted = true;
+                    break;
+                }
+            }
+            report.presses = self.write(index, out)?;
+            report.frames = index + 1;
+        }
+        Ok(())
+    }
+
+    /// Writes one frame; the number of its press.
+    fn write(&mut self, index: u64, out: &mut Output) -> Result<u64, TestbedError> {
+        let t = index as f64 / self.skin.rate;
+        let mut moment = self.timeline.at(t);
+        let frame = &mut self.frame;
+        self.sampler
+            .sample(t, &mut moment.stimulus, frame)
             .map_err(|source| TestbedError::Model { press: moment.press, source })?;
-        frame.stamp = start + (t * 1e9).round() as Stamp;
+        frame.stamp = self.start + (t * 1e9).round() as Stamp;
         frame.sequence = index;
         // A device clock of 0 would mean that there is none.
         frame.device_time_us = 1 + (t * 1e6).round() as u64;
         frame.temperature = moment.stimulus.temperature as f32;
-        out.write("taxels", &skin.frame_message(&frame), frame.stamp)?;
-        if let Some(image) = skin.image_message(&frame).filter(|_| options.images) {
+        out.write("taxels", &self.skin.frame_message(frame), frame.stamp)?;
+        if let Some(image) = self.skin.image_message(frame).filter(|_| self.options.images) {
             out.write("image", &image, frame.stamp)?;
         }
-        truth.blur(&mut moment, model.surface());
-        let label = moment.message(skin, model.surface(), &session, frame.stamp);
+        self.truth.blur(&mut moment, self.surface);
+        let label = moment.message(self.skin, self.surface, &self.session, frame.stamp);
         out.write("ground_truth", &label, frame.stamp)?;
         Ok(moment.press)
-    };
-    let mut failed = out
-        .write("skin_geometry", &skin.geometry_message(model.surface(), start), start)
-        // What the start was is on the disk from here on.
-        .and_then(|()| Ok(out.writer.flush()?))
-        .err();
-    for index in 0..total {
-        if failed.is_some() {
-            break;
-        }
-        if index % STRIDE == 0 {
-            options.progress.set_position(index);
-            if options.stop.load(Ordering::Relaxed) {
-                report.interrupted = true;
-                break;
-            }
-        }
-        match one(index, &mut out) {
-            Ok(press) => {
-                report.presses = press;
-                report.frames = index + 1;
-            }
-            Err(error) => failed = Some(error),
-        }
     }
-    if report.interrupted || failed.is_some() {
-        out.writer.set_custom(INTERRUPTED, "true");
-    }
-    report.frames = report.frames.max(out.finish()?);
-    report.duration = report.frames as f64 / skin.rate;
-    options.progress.set_position(report.frames);
-    options.progress.finish();
-    failed.map_or(Ok(report), Err)
 }
 
 /// The bag that is written, and the one that was begun before.

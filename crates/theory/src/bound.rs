@@ -134,8 +134,8 @@ pub(crate) fn bands(derivatives: &Derivatives, signal: &[f64], unknowns: Unknown
     let mut order: Vec<usize> = (0..signal.len()).collect();
     order.sort_by(|a, b| signal[*b].total_cmp(&signal[*a]));
     order.truncate(scales.len());
-    let closes = order.len() == scales.len();
-    let inverse = closes.then(|| whitened.select_rows(&order).try_inverse()).flatten();
+    let enough = order.len() == scales.len();
+    let inverse = enough.then(|| whitened.select_rows(&order).try_inverse()).flatten();
     let half = |unknown: Unknown| {
         let Some(k) = unknowns.list().iter().position(|u| *u == unknown) else { return 0.0 };
         // The farthest corner: every band's end pushes the same way.

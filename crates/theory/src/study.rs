@@ -37,7 +37,7 @@ pub struct StudyOptions {
     pub values: Vec<f64>,
     /// \[N\] forces of the super-resolution factors, ascending.
     pub forces: Vec<f64>,
-    /// \[N\] forces of the maps over place and force, ascending.
+    /// \[N\] forces of the maps over position and force, ascending.
     pub map_forces: Vec<f64>,
     /// \[m\] between the locations that are averaged over and drawn.
     pub step: f64,

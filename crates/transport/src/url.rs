@@ -165,101 +165,95 @@ impl SourceUrl {
         let (target, query) = rest.split_once('?').unwrap_or((rest, ""));
         let parser = |scheme, valid: &[&str]| Query::parse(url, scheme, target, query, valid);
         match scheme.to_ascii_lowercase().as_str() {
-            "serial" => {
-                let mut q = parser("serial", &["baud", "parity", "stop", "idle"])?;
-                let path = q.path("a device file, as in serial:///dev/ttyACM0?baud=115200")?;
-                let baud = q.take_with("baud", "a rate from 50 to 12000000", |v| {
-                    v.parse::<u32>().ok().filter(|b| (50..=12_000_000).contains(b))
-                })?;
-                let parity = q.take_with("parity", "none, even or odd", |v| match v {
-                    "none" => Some(Parity::None),
-                    "even" => Some(Parity::Even),
-                    "odd" => Some(Parity::Odd),
-                    _ => None,
-                })?;
-                let stop_bits = q.take_with("stop", "1 or 2", |v| match v {
-                    "1" => Some(1),
-                    "2" => Some(2),
-                    _ => None,
-                })?;
-                Ok(Self::Serial {
-                    path,
-                    baud: baud.unwrap_or(DEFAULT_BAUD),
-                    parity: parity.unwrap_or_default(),
-                    stop_bits: stop_bits.unwrap_or(1),
-                    idle: q.idle()?,
-                })
-            }
-            "udp" => {
-                let mut q = parser("udp", &["from", "sender", "hold", "idle"])?;
-                let bind = q.socket_addr()?;
-                let from = q.take_with("from", "an IP address", |v| v.parse().ok())?;
-                let sender = q.take_with("sender", "one, host or any", |v| match v {
-                    "one" => Some(Sender::One),
-                    "host" => Some(Sender::Host),
-                    "any" => Some(Sender::Any),
-                    _ => None,
-                })?;
-                Ok(Self::Udp {
-                    bind,
-                    from,
-                    sender: sender.unwrap_or_default(),
-                    hold: q.hold()?,
-                    idle: q.idle()?,
-                })
-            }
-            "tcp" => {
-                let mut q = parser("tcp", &["listen", "newcomer", "hold", "idle"])?;
-                if q.flag("listen")? {
-                    return q.tcp_listen();
-                }
-                for key in ["newcomer", "hold"] {
-                    if let Some(value) = q.keys.get(key) {
-                        return Err(q.invalid(
-                            key,
-                            value,
-                            "left out without listen: here no client connects",
-                        ));
-                    }
-                }
-                Ok(Self::Tcp { address: q.host_port()?, idle: q.idle_or(Some(TCP_IDLE))? })
-            }
+            "serial" => Self::serial(&mut parser("serial", &["baud", "parity", "stop", "idle"])?),
+            "udp" => Self::udp(&mut parser("udp", &["from", "sender", "hold", "idle"])?),
+            "tcp" => Self::tcp(parser("tcp", &["listen", "newcomer", "hold", "idle"])?),
             "tcp-listen" => parser("tcp-listen", &["newcomer", "hold", "idle"])?.tcp_listen(),
             "http" => http(url, rest),
-            "pty" => {
-                let mut q = parser("pty", &["link"])?;
-                let link = q.take_with("link", "a path", |v| (!v.is_empty()).then(|| PathBuf::from(v)))?;
-                if target.is_empty() {
-                    return Ok(Self::Pty { path: None, link });
-                }
-                let path = q.path("a terminal, as in pty:///dev/pts/3, or nothing to make one")?;
-                if let Some(link) = link {
-                    return Err(q.invalid(
-                        "link",
-                        &link.display().to_string(),
-                        "left out where a path is given",
-                    ));
-                }
-                Ok(Self::Pty { path: Some(path), link: None })
-            }
-            "replay" => {
-                let mut q = parser("replay", &["speed", "topic", "skin", "loop"])?;
-                let path = q.path("a rosbag2 folder or .mcap file, as in replay:///data/bag")?;
-                let speed = q.take_with("speed", "0 (as fast as possible) or a positive factor", |v| {
-                    v.parse::<f64>().ok().filter(|s| s.is_finite() && *s >= 0.0)
-                })?;
-                let topic =
-                    q.take_with("topic", "a topic name", |v| (!v.is_empty()).then(|| v.to_owned()))?;
-                let skin =
-                    q.take_with("skin", "the name of a skin", |v| (!v.is_empty()).then(|| v.to_owned()))?;
-                Ok(Self::Replay { path, speed: speed.unwrap_or(1.0), topic, skin, repeat: q.flag("loop")? })
-            }
+            "pty" => Self::pty(&mut parser("pty", &["link"])?),
+            "replay" => Self::replay(&mut parser("replay", &["speed", "topic", "skin", "loop"])?),
             _ => Err(TransportError::UnknownScheme {
                 url: url.into(),
                 scheme: scheme.into(),
                 valid: SCHEMES.join(", "),
             }),
         }
+    }
+
+    /// A serial line.
+    fn serial(q: &mut Query<'_>) -> Result<Self, TransportError> {
+        let path = q.path("a device file, as in serial:///dev/ttyACM0?baud=115200")?;
+        let baud = q.take_with("baud", "a rate from 50 to 12000000", |v| {
+            v.parse::<u32>().ok().filter(|b| (50..=12_000_000).contains(b))
+        })?;
+        let parity = q.take_with("parity", "none, even or odd", |v| match v {
+            "none" => Some(Parity::None),
+            "even" => Some(Parity::Even),
+            "odd" => Some(Parity::Odd),
+            _ => None,
+        })?;
+        let stop_bits = q.take_with("stop", "1 or 2", |v| match v {
+            "1" => Some(1),
+            "2" => Some(2),
+            _ => None,
+        })?;
+        Ok(Self::Serial {
+            path,
+            baud: baud.unwrap_or(DEFAULT_BAUD),
+            parity: parity.unwrap_or_default(),
+            stop_bits: stop_bits.unwrap_or(1),
+            idle: q.idle()?,
+        })
+    }
+
+    /// Datagrams.
+    fn udp(q: &mut Query<'_>) -> Result<Self, TransportError> {
+        let bind = q.socket_addr()?;
+        let from = q.take_with("from", "an IP address", |v| v.parse().ok())?;
+        let sender = q.take_with("sender", "one, host or any", |v| match v {
+            "one" => Some(Sender::One),
+            "host" => Some(Sender::Host),
+            "any" => Some(Sender::Any),
+            _ => None,
+        })?;
+        Ok(Self::Udp { bind, from, sender: sender.unwrap_or_default(), hold: q.hold()?, idle: q.idle()? })
+    }
+
+    /// A server, or a port that the device connects to.
+    fn tcp(mut q: Query<'_>) -> Result<Self, TransportError> {
+        if q.flag("listen")? {
+            return q.tcp_listen();
+        }
+        for key in ["newcomer", "hold"] {
+            if let Some(value) = q.keys.get(key) {
+                return Err(q.invalid(key, value, "left out without listen: here no client connects"));
+            }
+        }
+        Ok(Self::Tcp { address: q.host_port()?, idle: q.idle_or(Some(TCP_IDLE))? })
+    }
+
+    /// A pseudo-terminal.
+    fn pty(q: &mut Query<'_>) -> Result<Self, TransportError> {
+        let link = q.take_with("link", "a path", |v| (!v.is_empty()).then(|| PathBuf::from(v)))?;
+        if q.target.is_empty() {
+            return Ok(Self::Pty { path: None, link });
+        }
+        let path = q.path("a terminal, as in pty:///dev/pts/3, or nothing to make one")?;
+        if let Some(link) = link {
+            return Err(q.invalid("link", &link.display().to_string(), "left out where a path is given"));
+        }
+        Ok(Self::Pty { path: Some(path), link: None })
+    }
+
+    /// Recorded frames.
+    fn replay(q: &mut Query<'_>) -> Result<Self, TransportError> {
+        let path = q.path("a rosbag2 folder or .mcap file, as in replay:///data/bag")?;
+        let speed = q.take_with("speed", "0 (as fast as possible) or a positive factor", |v| {
+            v.parse::<f64>().ok().filter(|s| s.is_finite() && *s >= 0.0)
+        })?;
+        let topic = q.take_with("topic", "a topic name", |v| (!v.is_empty()).then(|| v.to_owned()))?;
+        let skin = q.take_with("skin", "the name of a skin", |v| (!v.is_empty()).then(|| v.to_owned()))?;
+        Ok(Self::Replay { path, speed: speed.unwrap_or(1.0), topic, skin, repeat: q.flag("loop")? })
     }
 }
 

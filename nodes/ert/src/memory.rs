@@ -130,7 +130,7 @@ mod tests {
     fn a_loop_is_as_wide_as_it_says() {
         let mut foam = Remembered::new(Memory { creep: 0.0, ..MEMORY }, 1);
         let mut time = 0.0;
-        let mut walk = |from: f64, to: f64| -> f64 {
+        let mut ramp = |from: f64, to: f64| -> f64 {
             let mut last = 0.0;
             for i in 0..=100 {
                 time += 0.01;
@@ -138,13 +138,13 @@ mod tests {
             }
             last
         };
-        let up = walk(0.0, 5e4);
-        walk(5e4, 1.2e5);
+        let up = ramp(0.0, 5e4);
+        ramp(5e4, 1.2e5);
         // All plays have turned around after 2 · 0.5 · 50 kPa.
-        let down = walk(1.2e5, 5e4);
+        let down = ramp(1.2e5, 5e4);
         assert_relative_eq!(up, 5e4, max_relative = 1e-12);
         assert_relative_eq!(down, 5e4 * (1.0 + MEMORY.hysteresis), max_relative = 1e-9);
-        assert_eq!(walk(5e4, 0.0), 0.0);
+        assert_eq!(ramp(5e4, 0.0), 0.0);
     }
 
     #[test]

@@ -33,9 +33,9 @@ fn every_touch_is_found_from_readings_alone() {
             signal.iter().map(|v| Reading::Exact(v + noise.sample(&mut random))).collect();
         let solution = inverter.solve(&readings, None).unwrap();
         // What a search finds that knows where the touch is.
-        let told = inverter.solve(&readings, Some(&touch)).unwrap();
+        let informed = inverter.solve(&readings, Some(&touch)).unwrap();
         tried += 1;
-        missed += usize::from(told.chi2 + 2.0 < solution.chi2);
+        missed += usize::from(informed.chi2 + 2.0 < solution.chi2);
         // Seven degrees of freedom: more than 35 is left by noise once in 90 000.
         unexplained += usize::from(solution.chi2 > 35.0);
     }

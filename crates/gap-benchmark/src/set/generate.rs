@@ -53,6 +53,18 @@ pub(super) struct Wanted {
     pub(super) disturbance: Disturbance,
 }
 
+impl Wanted {
+    /// What the case counts as where so many of its causes reach the least gap.
+    fn kind_with(&self, causes: usize) -> Kind {
+        match causes {
+            0 => Kind::Controls,
+            n if n == self.causes.len() => self.kind,
+            1 => Kind::Singles,
+            _ => Kind::Pairs,
+        }
+    }
+}
+
 /// The cases of an order: every cause as often as any other, over all gaps and noise levels.
 pub(super) fn wanted(order: &SetSpec, known: &'static [CauseInfo]) -> Vec<Wanted> {
     let mut rng = ChaCha8Rng::seed_from_u64(order.seed);
@@ -134,17 +146,138 @@ struct Made {
     seed: u64,
 }
 
-/// Share of the variance that noise of the skin's channels makes up, `factor` times as strong.
-fn noise_share(clean: &[f64], skin: &SkinDescription, script: &Script, factor: f64) -> f64 {
-    let sigma = skin.channel_noise();
-    // Readings that are off by one deviation everywhere but at the start, whose mean is the zero.
-    let mut off = clean.to_vec();
-    for row in off.chunks_mut(sigma.len()).skip(script.quiet) {
-        row.iter_mut().zip(&sigma).for_each(|(v, s)| *v += factor * s);
-    }
-    unexplained(clean, &off, script, sigma.len())
+/// The presses of a case.
+struct Presses {
+    climate: Climate,
+    /// Cases of one number have the same.
+    number: usize,
+    seed: u64,
 }
 
+impl Presses {
+    fn draw(order: &SetSpec, index: usize, kind: Kind, rng: &mut ChaCha8Rng) -> Self {
+        let scripts = order.scripts();
+        let (climate, number) = if kind == Kind::Confounded {
+            (Climate::OnlyWarmer, scripts + index % 2)
+        } else {
+            (Climate::Varied, rng.random_range(0..scripts))
+        };
+        let mut rng = ChaCha8Rng::seed_from_u64(order.seed ^ 0x5c81);
+        rng.set_stream(number as u64);
+        Self { climate, number, seed: rng.random() }
+    }
+}
+
+/// The nominal device of a case under its presses: what causes and noise are measured against.
+struct Trial<'a> {
+    skin: &'a SkinDescription,
+    numerics: Numerics,
+    script: Script,
+    /// What it reads, noise-free.
+    clean: Vec<f64>,
+}
+
+/// Causes of a case, as strong as its gap requires.
+struct Scaled {
+    causes: Vec<Cause>,
+    /// Fraction of variance that each moves alone.
+    alone: Vec<f64>,
+    /// Gap that they have, in multiples of the floor; 0 where there is none.
+    gap: f64,
+}
+
+impl Trial<'_> {
+    /// Share of the variance that noise of the skin's channels makes up, `factor` times as strong.
+    fn noise_share(&self, factor: f64) -> f64 {
+        let sigma = self.skin.channel_noise();
+        // Readings that are off by one deviation everywhere but at the start, whose mean is the zero.
+        let mut off = self.clean.clone();
+        for row in off.chunks_mut(sigma.len()).skip(self.script.quiet) {
+            row.iter_mut().zip(&sigma).for_each(|(v, s)| *v += factor * s);
+        }
+        unexplained(&self.clean, &off, &self.script, sigma.len())
+    }
+
+    /// Fraction of the variance that causes move, noise-free.
+    fn moved(&self, causes: &[Cause]) -> Result<f64, BenchmarkError> {
+        let device = crate::reference_device(self.skin, &self.numerics, causes)?;
+        let other = device.readings(&self.script, None)?;
+        Ok(unexplained(&self.clean, &other, &self.script, self.skin.channels().len()))
+    }
+
+    /// The cause at the strength at which it alone moves `target` of the variance, or as near to that as it comes, and what it moves then.
+    fn moving(&self, target: f64, info: &CauseInfo, seed: u64) -> Result<(Cause, f64), BenchmarkError> {
+        let mut cause = Cause { id: info.id.to_owned(), strength: 0.25, seed };
+        let mut reached = self.moved(std::slice::from_ref(&cause))?;
+        // The variance that a cause moves grows with its strength, about as its square: once there is one on either side of
+        // the target, the search stays between them.
+        let (mut weak, mut strong) = (None::<(f64, f64)>, None::<(f64, f64)>);
+        for _ in 0..12 {
+            if (reached / target - 1.0).abs() < 0.08 || (cause.strength >= 1.0 && reached < target) {
+                break;
+            }
+            let side = if reached < target { &mut weak } else { &mut strong };
+            *side = Some((cause.strength, reached));
+            let next = match (weak, strong) {
+                (Some((a, below)), Some((b, above))) => {
+                    let part = (target / below.max(1e-12)).ln() / (above / below.max(1e-12)).ln();
+                    a * (b / a).powf(part.clamp(0.1, 0.9))
+                }
+                _ => cause.strength * (target / reached.max(1e-9)).sqrt().clamp(0.2, 4.0),
+            };
+            cause.strength = next.clamp(1e-5, 1.0);
+            reached = self.moved(std::slice::from_ref(&cause))?;
+        }
+        Ok((cause, reached))
+    }
+
+    /// The wanted causes at the largest gap up to the wanted one that each of them can have.
+    fn scaled(&self, wanted: &Wanted, seeds: &[u64], floor: f64) -> Result<Scaled, BenchmarkError> {
+        let (mut causes, mut alone, mut gap) = (Vec::new(), Vec::new(), wanted.gap);
+        // A cause that cannot be as strong is taken at the next smaller gap.
+        while gap > 0.0 {
+            causes.clear();
+            alone.clear();
+            for (info, seed) in wanted.causes.iter().zip(seeds) {
+                let (cause, reached) = self.moving(gap * floor, info, *seed)?;
+                causes.push(cause);
+                alone.push(reached);
+            }
+            if alone.iter().all(|a| (0.7 * gap * floor..1.5 * gap * floor).contains(a)) {
+                break;
+            }
+            gap = match gap {
+                g if g > 3.0 => 3.0,
+                g if g > 1.0 => 1.0,
+                _ => 0.0,
+            };
+        }
+        if gap == 0.0 && !causes.is_empty() {
+            // One that cannot be as weak counts at the largest gap that it surely has; one that cannot reach the least is left out.
+            let all = causes.into_iter().zip(alone);
+            (causes, alone) = all.filter(|(_, reached)| *reached >= 0.7 * floor).unzip();
+            let least = alone.iter().copied().fold(f64::INFINITY, f64::min);
+            let surely = |g: &&f64| **g <= wanted.gap && least >= 0.7 * **g * floor;
+            gap =
+                if causes.is_empty() { 0.0 } else { GAPS.iter().filter(surely).copied().fold(0.0, f64::max) };
+        }
+        Ok(Scaled { causes, alone, gap })
+    }
+}
+
+/// Causes as a ground truth describes them.
+fn withheld(skin: &SkinDescription, causes: Vec<Cause>) -> Result<Vec<WithheldCause>, BenchmarkError> {
+    let known = crate::causes(skin)?;
+    let described = causes.into_iter().map(|cause| WithheldCause {
+        what: known.iter().find(|k| k.id == cause.id).map_or("", |k| k.what).to_owned(),
+        parameters: parameters(known, &cause),
+        region: crate::region(skin, &cause),
+        cause,
+    });
+    Ok(described.collect())
+}
+
+/// Draws a case and records its device.
 fn make(
     skin: &SkinDescription,
     order: &SetSpec,
@@ -157,127 +290,50 @@ fn make(
     let numerics =
         if wanted.kind == Kind::Controls { Numerics::varied(rng.random()) } else { Numerics::default() };
     let rig = crate::rig(skin, order.size)?;
-    let channels = skin.channels().len();
     let noise_seed: u64 = rng.random();
-    let scripts = order.scripts();
-    let (climate, presses) = if wanted.kind == Kind::Confounded {
-        (Climate::OnlyWarmer, scripts + index % 2)
-    } else {
-        (Climate::Varied, rng.random_range(0..scripts))
-    };
-    let script_seed = {
-        let mut rng = ChaCha8Rng::seed_from_u64(order.seed ^ 0x5c81);
-        rng.set_stream(presses as u64);
-        rng.random()
-    };
+    let presses = Presses::draw(order, index, wanted.kind, &mut rng);
     let nominal = crate::reference_device(skin, &numerics, &[])?;
-    let script = Script::draw(&nominal.model(), &rig, climate, script_seed)?;
+    let script = Script::draw(&nominal.model(), &rig, presses.climate, presses.seed)?;
     let clean = nominal.readings(&script, None)?;
+    let trial = Trial { skin, numerics, script, clean };
 
-    let moved = |causes: &[Cause]| -> Result<f64, BenchmarkError> {
-        let other = crate::reference_device(skin, &numerics, causes)?.readings(&script, None)?;
-        Ok(unexplained(&clean, &other, &script, channels))
-    };
     let noise = match wanted.disturbance {
         Disturbance::Louder => rng.random_range(1.3..2.0),
         // As the skin's description says.
         _ if order.cells && wanted.kind == Kind::Controls => 1.0,
         _ => wanted.noise,
     };
-    let floor = noise_share(&clean, skin, &script, noise) + MARGIN;
-    let mut causes = Vec::new();
-    let mut alone = Vec::new();
-    let mut gap = wanted.gap;
+    let floor = trial.noise_share(noise) + MARGIN;
     let seeds: Vec<u64> = wanted.causes.iter().map(|_| rng.random()).collect();
-    // A cause that cannot be as strong is taken at the next smaller gap.
-    while gap > 0.0 {
-        causes.clear();
-        alone.clear();
-        for (info, seed) in wanted.causes.iter().zip(&seeds) {
-            let mut cause = Cause { id: info.id.to_owned(), strength: 0.25, seed: *seed };
-            let target = gap * floor;
-            let mut reached = moved(std::slice::from_ref(&cause))?;
-            // The variance that a cause moves grows with its strength, about as its square: once there is one on either side of
-            // the target, the search stays between them.
-            let (mut weak, mut strong) = (None::<(f64, f64)>, None::<(f64, f64)>);
-            for _ in 0..12 {
-                if (reached / target - 1.0).abs() < 0.08 || (cause.strength >= 1.0 && reached < target) {
-                    break;
-                }
-                let side = if reached < target { &mut weak } else { &mut strong };
-                *side = Some((cause.strength, reached));
-                let next = match (weak, strong) {
-                    (Some((a, below)), Some((b, above))) => {
-                        let part = (target / below.max(1e-12)).ln() / (above / below.max(1e-12)).ln();
-                        a * (b / a).powf(part.clamp(0.1, 0.9))
-                    }
-                    _ => cause.strength * (target / reached.max(1e-9)).sqrt().clamp(0.2, 4.0),
-                };
-                cause.strength = next.clamp(1e-5, 1.0);
-                reached = moved(std::slice::from_ref(&cause))?;
-            }
-            causes.push(cause);
-            alone.push(reached);
-        }
-        if alone.iter().all(|a| (0.7 * gap * floor..1.5 * gap * floor).contains(a)) {
-            break;
-        }
-        gap = match gap {
-            g if g > 3.0 => 3.0,
-            g if g > 1.0 => 1.0,
-            _ => 0.0,
-        };
-    }
-    if gap == 0.0 && !causes.is_empty() {
-        // One that cannot be as weak counts at the largest gap that it surely has; one that cannot reach the least is left out.
-        let all = causes.into_iter().zip(alone);
-        (causes, alone) = all.filter(|(_, reached)| *reached >= 0.7 * floor).unzip();
-        let least = alone.iter().copied().fold(f64::INFINITY, f64::min);
-        let surely = |g: &&f64| **g <= wanted.gap && least >= 0.7 * **g * floor;
-        gap = if causes.is_empty() { 0.0 } else { GAPS.iter().filter(surely).copied().fold(0.0, f64::max) };
-    }
-    let kind = match causes.len() {
-        0 => Kind::Controls,
-        n if n == wanted.causes.len() => wanted.kind,
-        1 => Kind::Singles,
-        _ => Kind::Pairs,
-    };
-    let device = crate::reference_device(skin, &numerics, &causes)?;
+    let Scaled { causes, alone, gap } = trial.scaled(wanted, &seeds, floor)?;
+
+    let device = crate::reference_device(skin, &trial.numerics, &causes)?;
     // How deep a tip sinks in is what the rig sees of this reference device.
-    let mut script = Script::draw(&device.model(), &rig, climate, script_seed)?;
+    let mut script = Script::draw(&device.model(), &rig, presses.climate, presses.seed)?;
     let heavy = wanted.disturbance == Disturbance::HeavyTails;
     let mut readings = device.readings(&script, Some(Noise { seed: noise_seed, factor: noise, heavy }))?;
     if wanted.disturbance == Disturbance::LostFrames {
-        lose(&mut script, &mut readings, channels, noise_seed);
+        lose(&mut script, &mut readings, skin.channels().len(), noise_seed);
     }
-    let known = crate::causes(skin)?;
     let truth = GroundTruth {
         schema: GROUND_TRUTH_SCHEMA.to_owned(),
         generator: generator(),
         salt: sha256(format!("salt/{}/{case}/{}", order.seed, rng.random::<u128>()).as_bytes()),
         case,
-        kind,
+        kind: wanted.kind_with(causes.len()),
         seed: order.seed,
-        unexplained: if causes.is_empty() { 0.0 } else { moved(&causes)? },
-        causes: causes
-            .into_iter()
-            .map(|cause| WithheldCause {
-                what: known.iter().find(|k| k.id == cause.id).map_or("", |k| k.what).to_owned(),
-                parameters: parameters(known, &cause),
-                region: crate::region(skin, &cause),
-                cause,
-            })
-            .collect(),
+        unexplained: if causes.is_empty() { 0.0 } else { trial.moved(&causes)? },
+        causes: withheld(skin, causes)?,
         gap,
         noise,
         disturbance: wanted.disturbance,
         floor,
         alone,
-        numerics,
-        only_warmer: climate == Climate::OnlyWarmer,
+        numerics: trial.numerics,
+        only_warmer: presses.climate == Climate::OnlyWarmer,
         size: order.size,
     };
-    Ok(Made { truth, presses, script, readings, device, seed: script_seed ^ 0x7a51 })
+    Ok(Made { truth, presses: presses.number, script, readings, device, seed: presses.seed ^ 0x7a51 })
 }
 
 /// Share of frames that are lost, and frames of a burst at most.

@@ -98,26 +98,32 @@ pub(super) struct Influence {
     strains: Vec<Vec<Vector3<f64>>>,
 }
 
-impl Influence {
-    pub fn new(shape: Shape, build: &Build<'_>, gauges: &[Gauge]) -> Option<Self> {
-        let lines = [shape.lines(0, build.spacing), shape.lines(1, build.spacing)];
-        let counts = [lines[0].len(), lines[1].len()];
-        let openings = [shape.openings(0), shape.openings(1)];
-        let inside =
-            |axis: usize, value: f64| openings[axis].iter().any(|[from, to]| *from < value && value < *to);
-        let mut solid = vec![false; (counts[0] - 1) * (counts[1] - 1)];
-        let mut used = vec![false; counts[0] * counts[1]];
-        for i in 0..counts[0] - 1 {
-            for j in 0..counts[1] - 1 {
-                let middle = |axis: usize, k: usize| 0.5 * (lines[axis][k] + lines[axis][k + 1]);
-                if !(inside(0, middle(0, i)) && inside(1, middle(1, j))) {
-                    solid[i * (counts[1] - 1) + j] = true;
-                    for (p, q) in [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)] {
-                        used[p * counts[1] + q] = true;
-                    }
+/// Whether there is material between lines, and whether it touches each crossing of lines.
+fn material(shape: &Shape, lines: &[Vec<f64>; 2]) -> (Vec<bool>, Vec<bool>) {
+    let counts = [lines[0].len(), lines[1].len()];
+    let openings = [shape.openings(0), shape.openings(1)];
+    let inside =
+        |axis: usize, value: f64| openings[axis].iter().any(|[from, to]| *from < value && value < *to);
+    let mut solid = vec![false; (counts[0] - 1) * (counts[1] - 1)];
+    let mut used = vec![false; counts[0] * counts[1]];
+    for i in 0..counts[0] - 1 {
+        for j in 0..counts[1] - 1 {
+            let middle = |axis: usize, k: usize| 0.5 * (lines[axis][k] + lines[axis][k + 1]);
+            if !(inside(0, middle(0, i)) && inside(1, middle(1, j))) {
+                solid[i * (counts[1] - 1) + j] = true;
+                for (p, q) in [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)] {
+                    used[p * counts[1] + q] = true;
                 }
             }
         }
+    }
+    (solid, used)
+}
+
+impl Influence {
+    pub fn new(shape: Shape, build: &Build<'_>, gauges: &[Gauge]) -> Option<Self> {
+        let lines = [shape.lines(0, build.spacing), shape.lines(1, build.spacing)];
+        let (solid, used) = material(&shape, &lines);
         let mut count = 0;
         let nodes: Vec<Option<usize>> = used
             .into_iter()
@@ -129,14 +135,33 @@ impl Influence {
             })
             .collect();
         let mut influence = Self { shape, lines, nodes, solid, strains: Vec::new() };
-        let mut entries: Vec<Triplet<usize, usize, f64>> = Vec::new();
+        let entries = influence.stiffness(build);
+        let matrix =
+            SparseColMat::<usize, f64>::try_new_from_triplets(6 * count, 6 * count, &entries).ok()?;
+        let mut sides = Mat::<f64>::zeros(6 * count, gauges.len());
+        for (g, gauge) in gauges.iter().enumerate() {
+            for (dof, value) in influence.strain_row(gauge, build) {
+                sides[(dof, g)] += value;
+            }
+        }
+        let answer = matrix.sp_cholesky(Side::Lower).ok()?.solve(&sides);
+        influence.strains = (0..gauges.len())
+            .map(|g| (0..count).map(|n| Vector3::from_fn(|i, _| answer[(6 * n + i, g)])).collect())
+            .collect();
+        Some(influence)
+    }
+
+    /// Lower half of the stiffness of all facets and clamps, six displacements a node.
+    fn stiffness(&self, build: &Build<'_>) -> Vec<Triplet<usize, usize, f64>> {
+        let counts = [self.lines[0].len(), self.lines[1].len()];
+        let mut entries = Vec::new();
         for i in 0..counts[0] - 1 {
             for j in 0..counts[1] - 1 {
-                let Some(corners) = influence.corners(i, j) else { continue };
-                let (facet, axes) = influence.facet(i, j, build.wall);
+                let Some(corners) = self.corners(i, j) else { continue };
+                let (facet, axes) = self.facet(i, j, build.wall);
                 let middle = [
-                    0.5 * (influence.lines[0][i] + influence.lines[0][i + 1]),
-                    0.5 * (influence.lines[1][j] + influence.lines[1][j + 1]),
+                    0.5 * (self.lines[0][i] + self.lines[0][i + 1]),
+                    0.5 * (self.lines[1][j] + self.lines[1][j + 1]),
                 ];
                 let k = facet.stiffness(&build.material, (build.thickness)(middle));
                 // Blocks of three turn with the facet.
@@ -159,7 +184,7 @@ impl Influence {
         }
         for j in 0..counts[1] {
             for i in [0, counts[0] - 1] {
-                let Some(node) = influence.nodes[i * counts[1] + j] else { continue };
+                let Some(node) = self.nodes[i * counts[1] + j] else { continue };
                 for dof in 0..6 {
                     // A clamp that gives way by some length gives way by some angle, over its own depth of 10 mm.
                     let stiffness = build.clamp * if dof < 3 { 1.0 } else { 1e-4 };
@@ -167,19 +192,7 @@ impl Influence {
                 }
             }
         }
-        let matrix =
-            SparseColMat::<usize, f64>::try_new_from_triplets(6 * count, 6 * count, &entries).ok()?;
-        let mut sides = Mat::<f64>::zeros(6 * count, gauges.len());
-        for (g, gauge) in gauges.iter().enumerate() {
-            for (dof, value) in influence.strain_row(gauge, build) {
-                sides[(dof, g)] += value;
-            }
-        }
-        let answer = matrix.sp_cholesky(Side::Lower).ok()?.solve(&sides);
-        influence.strains = (0..gauges.len())
-            .map(|g| (0..count).map(|n| Vector3::from_fn(|i, _| answer[(6 * n + i, g)])).collect())
-            .collect();
-        Some(influence)
+        entries
     }
 
     /// Nodes at the corners of a facet.

@@ -112,18 +112,18 @@ impl Held {
     }
 
     /// Energy that lies in other bins than it would, were it spread as what the model reads or as samples are: bins where it is too much on
-    /// groups `learnt`, and how much more it is there on groups `asked`.
-    fn moved(&self, learnt: impl Iterator<Item = usize>, asked: impl Iterator<Item = usize>) -> f64 {
-        let [learnt, asked] = [self.sums(learnt), self.sums(asked)];
+    /// groups `learnt`, and how much more it is there on groups `tested`.
+    fn moved(&self, learnt: impl Iterator<Item = usize>, tested: impl Iterator<Item = usize>) -> f64 {
+        let [learnt, tested] = [self.sums(learnt), self.sums(tested)];
         let total = |sums: &[[f64; 3]], i: usize| sums.iter().map(|s| s[i]).sum::<f64>();
-        let energy = total(&asked, 0);
+        let energy = total(&tested, 0);
         let excess = |sums: &[[f64; 3]], b: usize, mix: f64| {
             let share = |i: usize| sums[b][i] / total(sums, i).max(1e-300);
             share(0) - mix * share(1) - (1.0 - mix) * share(2)
         };
         let moved = |mix: f64| {
             let bins = (0..self.bins).filter(|b| excess(&learnt, *b, mix) > 0.0);
-            bins.map(|b| excess(&asked, b, mix)).sum::<f64>()
+            bins.map(|b| excess(&tested, b, mix)).sum::<f64>()
         };
         let least = [0.0, 0.25, 0.5, 0.75, 1.0].map(moved).into_iter().fold(f64::INFINITY, f64::min);
         if energy > 0.0 { least * energy } else { 0.0 }

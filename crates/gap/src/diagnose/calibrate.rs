@@ -94,7 +94,7 @@ struct Bench<'a> {
     noise: Vec<f64>,
 }
 
-/// Simulates and diagnoses `count` devices along the presses of `recording`, whose readings are not looked at.
+/// Simulates and diagnoses `count` devices along the presses of `recording`, whose readings are not used.
 ///
 /// # Errors
 ///

@@ -31,6 +31,7 @@ use crate::algebra::{dot, normal};
 use crate::constants::experiments::{SETTLED, TRUST};
 use crate::constants::protocol::{ALIKE, COLUMNS, LOCATIONS, UNTELLABLE};
 use crate::constants::select::PRIOR;
+use crate::recording::Recording;
 use crate::samples::{SampleOptions, Samples};
 use crate::signatures::Signatures;
 use crate::simulate::Simulator;
@@ -48,7 +49,7 @@ pub struct Hypothesis {
     pub p_confuse: f64,
 }
 
-/// What is asked of a design.
+/// What a design is to do.
 #[derive(Debug, Clone)]
 pub struct DesignOptions {
     /// Minutes on the rig.
@@ -227,7 +228,7 @@ pub fn design(
         let mut questions = questions(simulator, hypotheses, &candidates, options, stop, progress)?;
         let taken = choose(&mut questions, &candidates, share * minutes);
         let kinds: Vec<BlockKind> = taken.iter().map(|b| candidates[*b].kind).collect();
-        found.separations = questions.iter().map(|q| q.told(hypotheses, &taken, &kinds)).collect();
+        found.separations = questions.iter().map(|q| q.separation(hypotheses, &taken, &kinds)).collect();
         found.blocks = taken.into_iter().map(|block| candidates[block].clone()).collect();
         minutes -= found.minutes();
     }
@@ -247,7 +248,7 @@ pub fn design(
     Ok(found)
 }
 
-/// Which blocks say most in a minute of all questions: the sum of their information `½ ln(1 + T)`, so that what is told apart already
+/// Which blocks say most in a minute of all questions: the sum of their information `½ ln(1 + T)`, so that what is distinguished already
 /// counts less and less.
 fn choose(questions: &mut [Question], candidates: &[Block], minutes: f64) -> Vec<usize> {
     let mut taken: Vec<usize> = Vec::new();
@@ -273,7 +274,7 @@ fn choose(questions: &mut [Question], candidates: &[Block], minutes: f64) -> Vec
 
 impl Question {
     /// What the blocks that were taken do for it.
-    fn told(&self, hypotheses: &[Hypothesis], taken: &[usize], kinds: &[BlockKind]) -> Separation {
+    fn separation(&self, hypotheses: &[Hypothesis], taken: &[usize], kinds: &[BlockKind]) -> Separation {
         let alone = |kind: BlockKind| {
             let of: Vec<usize> =
                 taken.iter().zip(kinds).filter(|(_, k)| **k == kind).map(|(b, _)| *b).collect();
@@ -307,35 +308,10 @@ fn questions(
     let channels = model.channels();
     let recording = carried_out(candidates, model.surface(), channels, skin.rate);
     let samples = Samples::draw(&recording, &vec![false; channels], &SampleOptions::default());
-    // Which block each press belongs to; rows of samples, a channel after another, by block.
-    let block_of: Vec<usize> =
-        candidates.iter().enumerate().flat_map(|(b, block)| vec![b; block.presses.len()]).collect();
-    let mut rows: Vec<Vec<usize>> = vec![Vec::new(); candidates.len()];
-    for (i, sample) in samples.list.iter().enumerate().filter(|(_, s)| s.press != usize::MAX) {
-        let press = recording.labels[sample.frame].press;
-        if let Some(block) = (press as usize).checked_sub(1).and_then(|p| block_of.get(p)) {
-            rows[*block].extend(i * channels..(i + 1) * channels);
-        }
-    }
+    let rows = rows_by_block(candidates, &recording, &samples);
     let signatures = Signatures::simulate(simulator, &recording, &samples, stop, progress)?;
     let noise = skin.channel_noise();
-    let base = simulator.with(&options.beside);
-    let mut skins = vec![base];
-    let simulated: Vec<usize> =
-        (0..hypotheses.len()).filter(|h| !hypotheses[*h].effects.is_empty()).collect();
-    for h in &simulated {
-        let mut all = options.beside.clone();
-        Effect::merge(&mut all, hypotheses[*h].effects.clone());
-        skins.push(simulator.with(&all));
-    }
-    let hidden = ProgressBar::hidden();
-    let mut read = simulator.many(&skins, &recording, (&samples, false), stop, &hidden)?.into_iter();
-    let base = read.next().transpose()?.unwrap_or_default();
-    let mut changes: Vec<Option<Vec<f32>>> = vec![None; hypotheses.len()];
-    for (h, read) in simulated.into_iter().zip(read) {
-        // One that a device cannot have remains a rival.
-        changes[h] = read.ok().map(|read| whitening::residual(&read, &base, &noise));
-    }
+    let changes = changes(simulator, hypotheses, &options.beside, (&recording, &samples), stop)?;
     let trusted = Trust::new(&signatures, &noise, &rows, channels);
     let spreads: Vec<Spread> = hypotheses
         .iter()
@@ -349,32 +325,87 @@ fn questions(
             Spread { change: change.map(|c| trusted.apply(c)), columns }
         })
         .collect();
-    let everything: Vec<usize> = (0..candidates.len()).collect();
     let mut questions = Vec::new();
     for a in 0..hypotheses.len() {
         for b in a + 1..hypotheses.len() {
-            let pair = |x: usize, y: usize| {
-                let change = spreads[x].change.as_ref()?;
-                (!spreads[y].columns.is_empty()).then(|| Pair::new(change, &spreads[y], &rows))
-            };
-            let pairs: Vec<Pair> = [pair(a, b), pair(b, a)].into_iter().flatten().collect();
-            if pairs.is_empty() {
-                continue;
-            }
-            // The first stands for what was named: what others say of theirs says how open they are.
-            let p = hypotheses[b].p_confuse.max(if a == 0 { 0.0 } else { hypotheses[a].p_confuse });
-            let whole: Vec<f64> = pairs.iter().map(|pair| pair.alone(&everything)).collect();
-            let least = pairs.iter().zip(&whole).all(|(pair, whole)| {
-                let energy: f64 = pair.of.iter().map(|i| i.energy).sum();
-                *whole < ALIKE * energy
-            });
-            let confused = whole.iter().map(|t| normal(-t.sqrt() / 2.0)).sum::<f64>() / whole.len() as f64;
-            let one_thing = least || confused > UNTELLABLE;
-            let before = separation(p.clamp(1e-6, 0.5));
-            questions.push(Question { members: [a, b], pairs, before, one_thing });
+            questions.extend(Question::between([a, b], hypotheses, &spreads, &rows));
         }
     }
     Ok(questions)
+}
+
+/// For each block the readings of its samples: their places in samples × channels.
+fn rows_by_block(candidates: &[Block], recording: &Recording, samples: &Samples) -> Vec<Vec<usize>> {
+    let channels = recording.channels;
+    // Which block each press belongs to.
+    let block_of: Vec<usize> =
+        candidates.iter().enumerate().flat_map(|(b, block)| vec![b; block.presses.len()]).collect();
+    let mut rows: Vec<Vec<usize>> = vec![Vec::new(); candidates.len()];
+    for (i, sample) in samples.list.iter().enumerate().filter(|(_, s)| s.press != usize::MAX) {
+        let press = recording.labels[sample.frame].press;
+        if let Some(block) = (press as usize).checked_sub(1).and_then(|p| block_of.get(p)) {
+            rows[*block].extend(i * channels..(i + 1) * channels);
+        }
+    }
+    rows
+}
+
+/// What each hypothesis changes in the readings of samples at its fitted values, in deviations of the noise, where it can be simulated.
+fn changes(
+    simulator: &Simulator<'_>,
+    hypotheses: &[Hypothesis],
+    beside: &[Effect],
+    (recording, samples): (&Recording, &Samples),
+    stop: &AtomicBool,
+) -> Result<Vec<Option<Vec<f32>>>, GapError> {
+    let mut skins = vec![simulator.with(beside)];
+    let simulated: Vec<usize> =
+        (0..hypotheses.len()).filter(|h| !hypotheses[*h].effects.is_empty()).collect();
+    for h in &simulated {
+        let mut all = beside.to_vec();
+        Effect::merge(&mut all, hypotheses[*h].effects.clone());
+        skins.push(simulator.with(&all));
+    }
+    let hidden = ProgressBar::hidden();
+    let mut read = simulator.many(&skins, recording, (samples, false), stop, &hidden)?.into_iter();
+    let base = read.next().transpose()?.unwrap_or_default();
+    let noise = simulator.skin.channel_noise();
+    let mut changes: Vec<Option<Vec<f32>>> = vec![None; hypotheses.len()];
+    for (h, read) in simulated.into_iter().zip(read) {
+        // One that a device cannot have remains a rival.
+        changes[h] = read.ok().map(|read| whitening::residual(&read, &base, &noise));
+    }
+    Ok(changes)
+}
+
+impl Question {
+    /// Two hypotheses over all blocks, by the `rows` of each; `None` where neither can be simulated and its rival fitted.
+    fn between(
+        [a, b]: [usize; 2],
+        hypotheses: &[Hypothesis],
+        spreads: &[Spread],
+        rows: &[Vec<usize>],
+    ) -> Option<Self> {
+        let pair = |x: usize, y: usize| {
+            let change = spreads[x].change.as_ref()?;
+            (!spreads[y].columns.is_empty()).then(|| Pair::new(change, &spreads[y], rows))
+        };
+        let pairs: Vec<Pair> = [pair(a, b), pair(b, a)].into_iter().flatten().collect();
+        if pairs.is_empty() {
+            return None;
+        }
+        // The first stands for what was named: what others say of theirs says how open they are.
+        let p = hypotheses[b].p_confuse.max(if a == 0 { 0.0 } else { hypotheses[a].p_confuse });
+        let everything: Vec<usize> = (0..rows.len()).collect();
+        let whole: Vec<f64> = pairs.iter().map(|pair| pair.alone(&everything)).collect();
+        let least = pairs.iter().zip(&whole).all(|(pair, whole)| {
+            let energy: f64 = pair.of.iter().map(|i| i.energy).sum();
+            *whole < ALIKE * energy
+        });
+        let confused = whole.iter().map(|t| normal(-t.sqrt() / 2.0)).sum::<f64>() / whole.len() as f64;
+        let one_thing = least || confused > UNTELLABLE;
+        Some(Self { members: [a, b], pairs, before: separation(p.clamp(1e-6, 0.5)), one_thing })
+    }
 }
 
 /// A column as samples × channels.

@@ -126,8 +126,9 @@ fn what_bends_with_the_force_is_told_by_a_ladder_and_two_names_of_one_thing_by_n
         of("stiffening", Effect::new("stiffening").with("rise", 0.15)),
         of("force-scale", Effect::new("force-scale").with("factor", 1.1)),
     ]);
-    let [told] = &found.separations[..] else { panic!("{:?}", found.separations) };
-    assert!(!told.one_thing && (told.p_before - 0.4).abs() < 1e-3 && told.p_after < 0.01, "{told:?}");
+    let [separation] = &found.separations[..] else { panic!("{:?}", found.separations) };
+    assert!(!separation.one_thing && (separation.p_before - 0.4).abs() < 1e-3, "{separation:?}");
+    assert!(separation.p_after < 0.01, "{separation:?}");
     assert!(found.blocks.iter().any(|b| b.kind == BlockKind::Ladder), "{:?}", found.blocks);
     assert!(found.minutes() <= 0.5);
 

@@ -153,7 +153,7 @@ impl Inverter {
     /// Answers for all minima that may be true: with their mean, where there is a place on the surface, or with the likeliest; with the
     /// spread of all of them about it in either case.
     ///
-    /// The mean has the least expected square of the error, and is what a filter takes a contact with its covariance for. Of places on
+    /// The mean has the least expected square of the error, and is what a filter takes a contact with its covariance for. Of locations on
     /// two sides of a limb it lies inside: nobody can touch that.
     fn weigh(&self, answer: &mut ContactEstimate, minima: &[(ContactEstimate, f64)]) {
         if minima.first().is_none_or(|(_, share)| *share >= CERTAIN) || self.is_broad(answer) {

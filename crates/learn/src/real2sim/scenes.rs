@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::LearnError;
 
-/// Share of the median compliance below which a place is taken for rigid: it has no signal, and nothing is simulated.
+/// Share of the median compliance below which a location is taken for rigid: it has no signal, and nothing is simulated.
 const RIGID: f64 = 0.1;
 /// Draws of one scene before its contacts are allowed to stand nearer to each other than requested.
 const TRIES: usize = 200;
@@ -25,14 +25,15 @@ pub struct SceneSettings {
     /// \[m\] that contacts of a scene are apart at least.
     pub distance: f64,
     /// Locations of the surface that are pressed, over all three parts.
-    pub sites: usize,
+    #[serde(alias = "sites")]
+    pub locations: usize,
     /// Draws locations, parts and scenes.
     pub seed: u64,
 }
 
 impl Default for SceneSettings {
     fn default() -> Self {
-        Self { force: [0.5, 34.3], diameter: 0.010, distance: 0.012, sites: 2500, seed: 1 }
+        Self { force: [0.5, 34.3], diameter: 0.010, distance: 0.012, locations: 2500, seed: 1 }
     }
 }
 
@@ -77,10 +78,10 @@ impl Compliance {
         self.shares.iter().map(|s| if *s >= RIGID { (1.0 / s.sqrt()) as f32 } else { 0.0 }).collect()
     }
 
-    /// Whether the surface gives way at a place.
+    /// Whether the surface gives way at a location.
     #[must_use]
-    pub fn gives_way(&self, place: &Point3<f64>) -> bool {
-        let distance = |p: &Point3<f64>| (p - place).norm_squared();
+    pub fn gives_way(&self, location: &Point3<f64>) -> bool {
+        let distance = |p: &Point3<f64>| (p - location).norm_squared();
         let nearest = (0..self.points.len())
             .min_by(|a, b| distance(&self.points[*a]).total_cmp(&distance(&self.points[*b])));
         nearest.is_some_and(|i| self.shares[i] >= RIGID)
@@ -152,8 +153,8 @@ impl Scenes {
             })
             .collect();
         let mut map = vec![0.0; surface.points.len()];
-        let mut found = Vec::with_capacity(settings.sites);
-        for _ in 0..settings.sites {
+        let mut found = Vec::with_capacity(settings.locations);
+        for _ in 0..settings.locations {
             let pick = rng.random_range(0.0..1.0) * sum;
             let index = cumulative.partition_point(|a| *a < pick).min(cumulative.len().saturating_sub(1));
             let Some(triangle) = surface.triangles.get(index) else { break };
@@ -174,18 +175,18 @@ impl Scenes {
         let mut sorted: Vec<f64> = found.iter().map(|(d, _)| *d).collect();
         sorted.sort_by(f64::total_cmp);
         let median = sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
-        let mut sites: Vec<_> =
-            found.into_iter().filter(|(d, _)| *d >= RIGID * median).map(|(_, site)| site).collect();
-        if sites.len() < 10 {
+        let mut locations: Vec<_> =
+            found.into_iter().filter(|(d, _)| *d >= RIGID * median).map(|(_, location)| location).collect();
+        if locations.len() < 10 {
             return Err(wrong(format!(
                 "{} locations of the surface give way, where 10 are the least",
-                sites.len()
+                locations.len()
             )));
         }
-        sites.shuffle(&mut rng);
-        let test = sites.split_off(sites.len() * 4 / 5);
-        let validation = sites.split_off(sites.len() * 3 / 4);
-        Ok(Self { settings: settings.clone(), parts: [sites, validation, test] })
+        locations.shuffle(&mut rng);
+        let test = locations.split_off(locations.len() * 4 / 5);
+        let validation = locations.split_off(locations.len() * 3 / 4);
+        Ok(Self { settings: settings.clone(), parts: [locations, validation, test] })
     }
 
     /// What was requested.
@@ -196,7 +197,7 @@ impl Scenes {
 
     /// Locations of a part.
     #[must_use]
-    pub fn sites(&self, part: Part) -> &[(Point3<f64>, Vector3<f64>)] {
+    pub fn locations(&self, part: Part) -> &[(Point3<f64>, Vector3<f64>)] {
         &self.parts[part as usize]
     }
 
@@ -207,12 +208,12 @@ impl Scenes {
         let stream = (part as u64) << 8 | contacts as u64;
         let mut rng = ChaCha8Rng::seed_from_u64(s.seed);
         rng.set_stream(stream + 1);
-        let sites = self.sites(part);
+        let locations = self.locations(part);
         let scene = |rng: &mut ChaCha8Rng| {
             let mut chosen: Vec<Indentation> = Vec::with_capacity(contacts);
             let mut tries = 0;
             while chosen.len() < contacts {
-                let (position, normal) = sites[rng.random_range(0..sites.len())];
+                let (position, normal) = locations[rng.random_range(0..locations.len())];
                 tries += 1;
                 let near = |c: &Indentation| (c.position - position).norm() < s.distance;
                 if chosen.iter().any(near) && tries < TRIES {

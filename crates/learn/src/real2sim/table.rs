@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 
 use super::regressor::scale;
 use super::{
-    LinearMap, MapBasis, MapRegressor, NearestMaps, NetMap, Part, ProgressFn, Scenes, VirtualSensors,
-    simulate,
+    LinearMap, MapBasis, MapRegressor, NearestMaps, NetMap, Part, ProgressFn, Scenes, Simulated,
+    VirtualSensors, simulate,
 };
 use crate::train::{NetworkConfig, TrainingConfig};
 use crate::{LearnError, MapScores, MapSummary};
@@ -120,6 +120,91 @@ impl Table {
     }
 }
 
+/// Where simulated contacts come from.
+struct Simulation<'a> {
+    model: &'a dyn ForwardModel,
+    sensors: &'a VirtualSensors,
+    scenes: &'a Scenes,
+}
+
+/// Simulated contacts to learn from, to choose by and to test on; an entry for each number of contacts.
+struct Parts {
+    train: Vec<Simulated>,
+    validation: Vec<Simulated>,
+    test: Vec<Simulated>,
+}
+
+impl Simulation<'_> {
+    /// Scenes of one part; their maps become amplitudes where a basis is given.
+    fn run(
+        &self,
+        part: Part,
+        contacts: usize,
+        count: usize,
+        basis: Option<&MapBasis>,
+    ) -> Result<Simulated, LearnError> {
+        simulate(self.model, self.sensors, &self.scenes.draw(part, contacts, count), basis, &|_, _| {})
+    }
+
+    /// The shapes that maps are made of.
+    fn basis(&self, settings: &TableSettings) -> Result<MapBasis, LearnError> {
+        let mut maps = Vec::new();
+        for contacts in 1..=CONTACTS {
+            let count = settings.samples[contacts - 1].min(BASIS_MAPS);
+            maps.extend(self.run(Part::Train, contacts, count, None)?.maps);
+        }
+        let points = self.model.surface().points.len();
+        Ok(MapBasis::measure(&maps, points, settings.kept, settings.training.seed))
+    }
+
+    /// All parts, with noise on the virtual sensors. Maps of those to test on are whole.
+    fn parts(
+        &self,
+        settings: &TableSettings,
+        basis: &MapBasis,
+        progress: ProgressFn<'_>,
+    ) -> Result<Parts, LearnError> {
+        let (mut train, mut validation, mut test) = (Vec::new(), Vec::new(), Vec::new());
+        for contacts in 1..=CONTACTS {
+            progress("simulating contacts", contacts as f64 / (CONTACTS + 1) as f64);
+            let count = settings.samples[contacts - 1];
+            train.push(self.run(Part::Train, contacts, count, Some(basis))?);
+            let few = (count / 3).clamp(1, settings.tests);
+            validation.push(self.run(Part::Validation, contacts, few, Some(basis))?);
+            test.push(self.run(Part::Test, contacts, settings.tests, None)?);
+        }
+        let deviation = settings.noise as f32 * scale(&train[0].sensors);
+        let mut rng = ChaCha8Rng::seed_from_u64(settings.training.seed);
+        for data in [&mut train, &mut validation, &mut test].into_iter().flatten() {
+            data.sensors.iter_mut().for_each(|v| *v += deviation * rng.sample::<f32, _>(StandardNormal));
+        }
+        Ok(Parts { train, validation, test })
+    }
+}
+
+/// Those of one to `trained` contacts together.
+fn join(parts: &[Simulated], trained: usize) -> Simulated {
+    let mut all = Simulated::default();
+    parts[..trained].iter().for_each(|p| all.extend(p));
+    all
+}
+
+/// Fits one method to `data`; what it leaves open is chosen on `chosen`.
+fn fit(
+    method: &str,
+    (data, chosen): (&Simulated, &Simulated),
+    width: usize,
+    settings: &TableSettings,
+) -> Result<Box<dyn MapRegressor>, LearnError> {
+    let (inputs, maps) = (&data.sensors, &data.maps);
+    let regressor: Box<dyn MapRegressor> = match method {
+        "linear" => Box::new(LinearMap::fit(inputs, maps, width, (&chosen.sensors, &chosen.maps))?),
+        "neighbours" => Box::new(NearestMaps::fit(inputs, maps, width, settings.neighbours)?),
+        _ => Box::new(NetMap::fit(inputs, maps, width, &settings.network, &settings.training)?),
+    };
+    Ok(regressor)
+}
+
 /// Makes the table from a skin's nominal model.
 ///
 /// # Errors
@@ -133,72 +218,21 @@ pub fn table(
     progress: ProgressFn<'_>,
 ) -> Result<Table, LearnError> {
     let points = model.surface().points.len();
-    let quiet: ProgressFn<'_> = &|_, _| {};
+    let simulation = Simulation { model, sensors, scenes };
     progress("simulating contacts", 0.0);
-    let mut start = Vec::new();
-    for contacts in 1..=CONTACTS {
-        let scenes = scenes.draw(Part::Train, contacts, settings.samples[contacts - 1].min(BASIS_MAPS));
-        start.extend(simulate(model, sensors, &scenes, None, quiet)?.maps);
-    }
-    let basis = MapBasis::measure(&start, points, settings.kept, settings.training.seed);
-    drop(start);
-    let part = |part, contacts, count, basis: Option<&MapBasis>| {
-        simulate(model, sensors, &scenes.draw(part, contacts, count), basis, quiet)
-    };
-    let mut train = Vec::new();
-    let mut validation = Vec::new();
-    let mut test = Vec::new();
-    for contacts in 1..=CONTACTS {
-        progress("simulating contacts", contacts as f64 / (CONTACTS + 1) as f64);
-        let count = settings.samples[contacts - 1];
-        train.push(part(Part::Train, contacts, count, Some(&basis))?);
-        validation.push(part(
-            Part::Validation,
-            contacts,
-            (count / 3).clamp(1, settings.tests),
-            Some(&basis),
-        )?);
-        test.push(part(Part::Test, contacts, settings.tests, None)?);
-    }
-    let deviation = settings.noise as f32 * scale(&train[0].sensors);
-    let mut rng = ChaCha8Rng::seed_from_u64(settings.training.seed);
-    for data in [&mut train, &mut validation, &mut test].into_iter().flatten() {
-        data.sensors.iter_mut().for_each(|v| *v += deviation * rng.sample::<f32, _>(StandardNormal));
-    }
-    let width = sensors.count();
+    let basis = simulation.basis(settings)?;
+    let parts = simulation.parts(settings, &basis, progress)?;
     let mut cells = Vec::new();
     for trained in 1..=CONTACTS {
-        let join = |parts: &[super::Simulated]| {
-            let mut all = super::Simulated::default();
-            parts[..trained].iter().for_each(|p| all.extend(p));
-            all
-        };
-        let (data, chosen) = (join(&train), join(&validation));
+        let (data, chosen) = (join(&parts.train, trained), join(&parts.validation, trained));
         for (index, method) in Table::METHODS.into_iter().enumerate() {
             let done = (trained - 1) * Table::METHODS.len() + index;
             progress(
                 &format!("{method}, learned from 1 to {trained} contacts"),
                 done as f64 / (CONTACTS * Table::METHODS.len()) as f64,
             );
-            let regressor: Box<dyn MapRegressor> = match method {
-                "linear" => Box::new(LinearMap::fit(
-                    &data.sensors,
-                    &data.maps,
-                    width,
-                    (&chosen.sensors, &chosen.maps),
-                )?),
-                "neighbours" => {
-                    Box::new(NearestMaps::fit(&data.sensors, &data.maps, width, settings.neighbours)?)
-                }
-                _ => Box::new(NetMap::fit(
-                    &data.sensors,
-                    &data.maps,
-                    width,
-                    &settings.network,
-                    &settings.training,
-                )?),
-            };
-            for (i, test) in test.iter().enumerate() {
+            let regressor = fit(method, (&data, &chosen), sensors.count(), settings)?;
+            for (i, test) in parts.test.iter().enumerate() {
                 let maps = basis.decode(&regressor.predict(&test.sensors)?);
                 let mut scores = MapScores::new();
                 for (truth, answer) in test.maps.chunks_exact(points).zip(maps.chunks_exact(points)) {

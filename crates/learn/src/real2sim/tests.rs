@@ -61,7 +61,7 @@ fn skin() -> SkinDescription {
 
 fn scenes(model: &dyn ForwardModel) -> Scenes {
     let settings =
-        SceneSettings { force: [1.0, 10.0], sites: 1500, distance: 0.02, ..SceneSettings::default() };
+        SceneSettings { force: [1.0, 10.0], locations: 1500, distance: 0.02, ..SceneSettings::default() };
     Scenes::new(model, &settings).unwrap()
 }
 
@@ -92,7 +92,7 @@ fn locations_are_parted_and_scenes_drawn_alike() {
     let scenes = scenes(&model);
     let key = |p: &Point3<f64>| format!("{:?}", p.coords);
     let locations = |part| -> std::collections::BTreeSet<String> {
-        scenes.sites(part).iter().map(|(p, _)| key(p)).collect()
+        scenes.locations(part).iter().map(|(p, _)| key(p)).collect()
     };
     let [train, validation, test] = [Part::Train, Part::Validation, Part::Test].map(locations);
     assert!(train.is_disjoint(&validation) && train.is_disjoint(&test) && validation.is_disjoint(&test));
@@ -105,6 +105,16 @@ fn locations_are_parted_and_scenes_drawn_alike() {
         }
     }
     assert_eq!(scenes.draw(Part::Train, 2, 5), scenes.draw(Part::Train, 2, 5));
+}
+
+#[test]
+fn the_number_of_locations_is_read_by_its_old_key_too() {
+    let scenes = |key: &str| {
+        let text = format!("[scenes]\n{key} = 60\n");
+        toml::from_str::<Settings>(&text).unwrap().scenes
+    };
+    assert_eq!(scenes("sites"), scenes("locations"));
+    assert_eq!(scenes("sites").locations, 60);
 }
 
 #[test]

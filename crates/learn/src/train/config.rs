@@ -1,5 +1,7 @@
 //! What is trained, and how.
 
+mod checks;
+
 use std::path::{Path, PathBuf};
 
 use dermis_inference::{Baseline, FeatureConfig, Missing, Taps};
@@ -9,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use super::candidates::{self, ModelChoice};
 use super::image::ImageConfig;
 use crate::dataset::Truth;
-use crate::target::{ForceProfile, MAP_NORMAL, MapTarget, Target};
+use crate::target::{ForceProfile, MapTarget};
 use crate::{LearnError, SplitConfig};
 
 /// Everything that decides what comes out of training, besides the data. A file is TOML; unknown keys are errors.
@@ -317,127 +319,16 @@ impl TrainConfig {
     ///
     /// [`LearnError::Config`] names the field.
     pub fn validate(&self, file: &str) -> Result<(), LearnError> {
-        let wrong = |field: &str, reason: String| {
+        let wrong = |field: &str, reason: String| -> Result<(), LearnError> {
             Err(LearnError::Config { file: file.to_owned(), field: field.to_owned(), reason })
         };
-        if self.targets.is_empty() {
-            return wrong("targets", "is empty: a model has at least one output".into());
-        }
-        for (i, target) in self.targets.iter().enumerate() {
-            if Target::of(target).is_none() {
-                return wrong(
-                    &format!("targets[{i}]"),
-                    format!(
-                        "is \"{target}\" and must be one of {}",
-                        Target::names().collect::<Vec<_>>().join(", ")
-                    ),
-                );
-            }
-            if self.targets[..i].contains(target) {
-                return wrong(&format!("targets[{i}]"), format!("\"{target}\" is already taken"));
-            }
-        }
-        let has = |name: &str| self.targets.iter().any(|t| t == name);
-        if has("position.x") != has("position.y") {
-            return wrong("targets", "position.x and position.y only make sense together".into());
-        }
-        if self.network.hidden.iter().any(|w| !(1..=8192).contains(w)) || self.network.hidden.len() > 32 {
-            return wrong("network.hidden", "holds up to 32 widths of 1 to 8192".into());
-        }
-        if !(1..=64).contains(&self.network.members) {
-            return wrong("network.members", format!("is {} and must be 1 to 64", self.network.members));
-        }
+        checks::targets(self, &wrong)?;
+        checks::network_size(self, &wrong)?;
         candidates::check(self, &wrong)?;
-        let newest_first = match &self.features.taps {
-            Taps::Frames(delays) => delays.first() == Some(&0),
-            Taps::Seconds(delays) => delays.first() == Some(&0.0),
-        };
-        if self.network.input != InputForm::Plain && !newest_first {
-            return wrong(
-                "network.input",
-                "`direction` and `logarithm` need the newest frame as the first of `features.taps`".into(),
-            );
-        }
-        if let Some(grid) = &self.features.image {
-            if !(1..=ImageGrid::MOST).contains(&grid.numbers()) {
-                let most = ImageGrid::MOST;
-                return wrong(
-                    "features.image",
-                    format!("has {} numbers and must have 1 to {most}", grid.numbers()),
-                );
-            }
-            if self.network.input != InputForm::Plain {
-                return wrong("network.input", "is for channels; leave it out, or `features.image`".into());
-            }
-        }
-        if let Some(image) = &self.network.image {
-            image.check().map_err(|(field, reason)| LearnError::Config {
-                file: file.into(),
-                field,
-                reason,
-            })?;
-            if self.targets != [MAP_NORMAL] {
-                return wrong(
-                    "targets",
-                    format!("must be [\"{MAP_NORMAL}\"] alone where `network.image` draws it"),
-                );
-            }
-            if self.network.conv.is_some() {
-                return wrong("network.conv", "stands beside `network.image`: name one of them".into());
-            }
-        }
-        if let Some(noise) = &self.training.channel_noise {
-            if self.network.image.is_none() {
-                return wrong("training.channel_noise", "is for `network.image`; leave it out".into());
-            }
-            if !(noise.share >= 0.0 && noise.share.is_finite()) {
-                let reason = format!("is {} and must be 0 or positive", noise.share);
-                return wrong("training.channel_noise.share", reason);
-            }
-        }
-        if self.network.conv.is_some() || self.network.image.is_some() {
-            for (field, used) in [
-                ("network.members", self.network.members > 1),
-                ("network.input", self.network.input != InputForm::Plain),
-                ("balance_force", self.balance_force),
-                ("training.noise", self.training.noise > 0.0),
-                ("training.weight_decay", self.training.weight_decay > 0.0),
-            ] {
-                if used {
-                    return wrong(
-                        field,
-                        "is for dense networks; leave it out, or `network.conv` and `network.image`".into(),
-                    );
-                }
-            }
-        }
-        let t = &self.training;
-        if t.epochs == 0 || t.batch == 0 {
-            return wrong("training.epochs", "and `training.batch` must be at least 1".into());
-        }
-        if !(t.learning_rate > 0.0 && t.learning_rate.is_finite()) {
-            return wrong("training.learning_rate", "must be positive".into());
-        }
-        if !(0.0..1.0).contains(&t.momentum) {
-            return wrong(
-                "training.momentum",
-                format!("is {} and must be 0 or more and below 1", t.momentum),
-            );
-        }
-        for (field, v) in [
-            ("training.weight_decay", t.weight_decay),
-            ("training.noise", t.noise),
-            ("position_min_force", self.position_min_force),
-            ("position_full_force", self.position_full_force),
-        ] {
-            if !(v >= 0.0 && v.is_finite()) {
-                return wrong(field, format!("is {v} and must be 0 or positive"));
-            }
-        }
-        if t.seed > i64::MAX.cast_unsigned() {
-            return wrong("training.seed", "is beyond 2^63 - 1".into());
-        }
-        Ok(())
+        checks::input(self, &wrong)?;
+        checks::image_network(self, &wrong)?;
+        checks::dense_only(self, &wrong)?;
+        checks::training(self, &wrong)
     }
 
     /// Targets in the order of the model's outputs: scalars, maps, and `contact` last.

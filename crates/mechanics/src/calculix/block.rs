@@ -1,10 +1,12 @@
 //! A pad with free sides, pushed beside its middle and near its side, and touched by spheres.
 
+use std::ops::Range;
+
 use nalgebra::{Point3, Vector3};
 
-use super::quadratic::Quadratic;
+use super::quadratic::{Quadratic, Share};
 use super::{CalculixError, Load, Model, SOURCE};
-use crate::fem::{HexMesh, Probe, free_sides};
+use crate::fem::{Bicubic, HexMesh, Probe, free_sides};
 use crate::{Base, Case, Load as Acting, Medium, SphereContact};
 
 /// \[m\] of the pad's sides and its height.
@@ -41,20 +43,8 @@ pub fn block_cases() -> Result<Vec<Case>, CalculixError> {
     let quadratic = Quadratic::new(&mesh, |middle| middle);
     let per_layer = (ALONG * ALONG) as usize;
     let top = per_layer * (LAYERS as usize - 1)..mesh.cells.len();
-    let (mut loads, mut shares) = (Vec::new(), Vec::new());
-    for (_, [x, y], force) in PUSHES {
-        let centre = Point3::new(x, y, 0.0);
-        let (forces, points) = quadratic.spread(top.clone(), |p| {
-            Vector3::from(force) * (-(p - centre).norm_squared() / (2.0 * WIDTH * WIDTH)).exp()
-        });
-        // To exactly 1 N.
-        let total: f64 = points.iter().map(|(_, f)| f.norm()).sum();
-        loads.push(Load {
-            forces: forces.into_iter().map(|(n, f)| (n, f / total)).collect(),
-            ..Load::default()
-        });
-        shares.push(points.into_iter().map(|(p, f)| (p, f / total)).collect::<Vec<_>>());
-    }
+    let pushed = PUSHES.iter().map(|(_, at, force)| pushed(&quadratic, &top, *at, *force));
+    let (loads, shares): (Vec<Load>, Vec<Vec<Share>>) = pushed.unzip();
     let sensors: Vec<usize> = SENSORS
         .iter()
         .map(|[i, j]| {
@@ -90,16 +80,7 @@ pub fn block_cases() -> Result<Vec<Case>, CalculixError> {
     let sides = free_sides([SIDE; 2], THICKNESS, POISSON, 0.0, &probes)?;
     let mut cases = Vec::new();
     for (((name, ..), answer), points) in PUSHES.iter().zip(&answers).zip(&shares) {
-        let mut stress = vec![0.0; probes.len()];
-        let mut change = vec![0.0; 3 * probes.len()];
-        for (point, force) in points {
-            change.fill(0.0);
-            sides.add(point.x, point.y, 1.0, &mut change);
-            for ((s, a), probe) in stress.iter_mut().zip(change.chunks_exact(3)).zip(&probes) {
-                *s += Vector3::new(a[0], a[1], a[2]).dot(force);
-                *s += probe.iter().map(|(at, weight)| weight * layer.pressure(at, point, force)).sum::<f64>();
-            }
-        }
+        let stress = stresses(&layer, &sides, &probes, points);
         let peak = stress.iter().fold(0.0f64, |peak, s| peak.max(s.abs()));
         for (k, ((&[i, j], &got), &reference)) in SENSORS.iter().zip(&stress).zip(&answer.sensed).enumerate()
         {
@@ -118,6 +99,38 @@ pub fn block_cases() -> Result<Vec<Case>, CalculixError> {
         }
     }
     Ok(cases)
+}
+
+/// The load of a push of 1 N at (x, y) \[m\], and what of it acts at which point of the top.
+fn pushed(
+    quadratic: &Quadratic,
+    top: &Range<usize>,
+    [x, y]: [f64; 2],
+    force: [f64; 3],
+) -> (Load, Vec<Share>) {
+    let centre = Point3::new(x, y, 0.0);
+    let (forces, points) = quadratic.spread(top.clone(), |p| {
+        Vector3::from(force) * (-(p - centre).norm_squared() / (2.0 * WIDTH * WIDTH)).exp()
+    });
+    // To exactly 1 N.
+    let total: f64 = points.iter().map(|(_, f)| f.norm()).sum();
+    let forces = forces.into_iter().map(|(n, f)| (n, f / total)).collect();
+    (Load { forces, ..Load::default() }, points.into_iter().map(|(p, f)| (p, f / total)).collect())
+}
+
+/// What this crate says of each probe under forces at points: the field of a layer without end, and what its free sides change.
+fn stresses(layer: &Layer, sides: &Bicubic, probes: &[Probe], points: &[Share]) -> Vec<f64> {
+    let mut stress = vec![0.0; probes.len()];
+    let mut change = vec![0.0; 3 * probes.len()];
+    for (point, force) in points {
+        change.fill(0.0);
+        sides.add(point.x, point.y, 1.0, &mut change);
+        for ((s, a), probe) in stress.iter_mut().zip(change.chunks_exact(3)).zip(probes) {
+            *s += Vector3::new(a[0], a[1], a[2]).dot(force);
+            *s += probe.iter().map(|(at, weight)| weight * layer.pressure(at, point, force)).sum::<f64>();
+        }
+    }
+    stress
 }
 
 /// What [`pad_readings`] finds.

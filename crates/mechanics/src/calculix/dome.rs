@@ -1,8 +1,10 @@
 //! A dome under pushes at its tip, on its hemisphere and on its cylinder.
 
+use std::ops::Range;
+
 use nalgebra::{Point3, Vector3};
 
-use super::quadratic::Quadratic;
+use super::quadratic::{Quadratic, Share};
 use super::{CalculixError, Load, Model, SOURCE};
 use crate::fem::{Dome, DomeShape, HexMesh, Probe};
 use crate::{Base, Case};
@@ -64,59 +66,17 @@ const LOADS: [(&str, f64, [Push; 3]); 2] = [
 pub fn dome_cases() -> Result<Vec<Case>, CalculixError> {
     let mesh = HexMesh::dome(SHAPE.radius, SHAPE.cylinder, SHAPE.thickness, AROUND, LAYERS)?;
     let per_layer = mesh.cells.len() / LAYERS;
-    let core = SHAPE.radius - SHAPE.thickness;
-    let layer_of = |p: &Point3<f64>| (SHAPE.radius - SHAPE.depth(p) - core) / SHAPE.thickness * LAYERS as f64;
-    let quadratic = Quadratic::new(&mesh, |middle| {
-        // Onto the shell that the edge's ends lie on, or between both.
-        let half_layers = (2.0 * layer_of(&middle)).round() / 2.0;
-        let radius = core + SHAPE.thickness * half_layers / LAYERS as f64;
-        let axis = Vector3::new(0.0, 0.0, middle.z.min(SHAPE.cylinder));
-        Point3::from(axis + (middle.coords - axis).normalize() * radius)
-    });
+    let quadratic = curved(&mesh);
     let on_core = |p: &Point3<f64>| (SHAPE.depth(p) - SHAPE.thickness).abs() < 1e-7;
     let held = (0..quadratic.nodes.len())
         .filter(|&n| on_core(&quadratic.nodes[n]))
         .map(|n| (n, [true; 3]))
         .collect();
     let last_layer = per_layer * (LAYERS - 1)..mesh.cells.len();
-
-    let (mut loads, mut shares) = (Vec::new(), Vec::new());
-    for (.., pushes) in &LOADS {
-        let (mut forces, mut points) = (Vec::new(), Vec::new());
-        for push in pushes {
-            let centre = SHAPE.point([push.arc, push.angle]);
-            let force: Vector3<f64> = frame(&centre).iter().zip(push.force).map(|(v, f)| v * f).sum();
-            let (nodal, spread) = quadratic.spread(last_layer.clone(), |p| {
-                force * (-(p - centre).norm_squared() / (2.0 * WIDTH * WIDTH)).exp()
-            });
-            // To exactly 1 N.
-            let total = spread.iter().map(|(_, f)| f.norm()).sum::<f64>();
-            forces.extend(nodal.into_iter().map(|(n, f)| (n, f / total)));
-            points.extend(spread.into_iter().map(|(p, f)| (p, f / total)));
-        }
-        loads.push(Load { forces, ..Load::default() });
-        shares.push(points);
-    }
-    // Sensors in cells halfway, nearest to locations of interest: what the points of integration say is taken as it is, because
-    // what is made of it at nodes is a guess.
-    let wanted = [[0.0, 0.0], [0.007_854, 0.4], [0.0157, 0.4], [0.023_708, 0.4], [0.007_854, 2.0]];
-    let probe = |cell: usize| -> Probe {
-        let points = quadratic.integration_points(cell);
-        let share = 1.0 / points.len() as f64;
-        points.into_iter().map(|p| (p, share)).collect()
-    };
-    let halfway = per_layer * (LAYERS / 2)..per_layer * (LAYERS / 2 + 1);
-    let middles: Vec<(usize, Point3<f64>)> = halfway
-        .map(|cell| {
-            (cell, Point3::from(probe(cell).iter().map(|(p, w)| p.coords * *w).sum::<Vector3<f64>>()))
-        })
-        .collect();
-    let mut sensors = Vec::new();
-    for place in wanted.map(|at| SHAPE.point(at)) {
-        let far = |p: &Point3<f64>| (place + frame(&place)[0] * (SHAPE.thickness / 2.0) - p).norm();
-        sensors.extend(middles.iter().min_by(|a, b| far(&a.1).total_cmp(&far(&b.1))).copied());
-    }
-    let probes: Vec<Probe> = sensors.iter().map(|(cell, _)| probe(*cell)).collect();
+    let (loads, shares): (Vec<Load>, Vec<Vec<Share>>) =
+        LOADS.iter().map(|(.., pushes)| pushed(&quadratic, &last_layer, pushes)).unzip();
+    let sensors = sensors(&quadratic, per_layer * (LAYERS / 2)..per_layer * (LAYERS / 2 + 1));
+    let probes: Vec<Probe> = sensors.iter().map(|(cell, _)| probe(&quadratic, *cell)).collect();
     let model = Model {
         nodes: quadratic.nodes,
         element: "C3D20R",
@@ -132,16 +92,7 @@ pub fn dome_cases() -> Result<Vec<Case>, CalculixError> {
     let dome = Dome::new(SHAPE, POISSON, Base::Bonded, &probes)?;
     let mut cases = Vec::new();
     for (((name, tolerance, _), answer), points) in LOADS.iter().zip(&answers).zip(&shares) {
-        let mut stress = vec![0.0; sensors.len()];
-        let mut influence = vec![0.0; 3 * sensors.len()];
-        for (point, force) in points {
-            let [arc, angle] = SHAPE.chart(point);
-            influence.fill(0.0);
-            dome.influence().add(arc, angle, 1.0, &mut influence);
-            for (s, a) in stress.iter_mut().zip(influence.chunks_exact(3)) {
-                *s += Vector3::new(a[0], a[1], a[2]).dot(force);
-            }
-        }
+        let stress = stresses(&dome, points, sensors.len());
         let peak = stress.iter().fold(0.0f64, |peak, s| peak.max(s.abs()));
         for (k, ((_, p), &got)) in sensors.iter().zip(&stress).enumerate() {
             cases.push(Case::new(
@@ -160,6 +111,74 @@ pub fn dome_cases() -> Result<Vec<Case>, CalculixError> {
         }
     }
     Ok(cases)
+}
+
+/// The mesh with a node in the middle of each edge, on the shell that the edge's ends lie on, or between both.
+fn curved(mesh: &HexMesh) -> Quadratic {
+    let core = SHAPE.radius - SHAPE.thickness;
+    let layer_of = |p: &Point3<f64>| (SHAPE.radius - SHAPE.depth(p) - core) / SHAPE.thickness * LAYERS as f64;
+    Quadratic::new(mesh, |middle| {
+        let half_layers = (2.0 * layer_of(&middle)).round() / 2.0;
+        let radius = core + SHAPE.thickness * half_layers / LAYERS as f64;
+        let axis = Vector3::new(0.0, 0.0, middle.z.min(SHAPE.cylinder));
+        Point3::from(axis + (middle.coords - axis).normalize() * radius)
+    })
+}
+
+/// The load of pushes at once, and what of it acts at which point of the outside.
+fn pushed(quadratic: &Quadratic, outside: &Range<usize>, pushes: &[Push]) -> (Load, Vec<Share>) {
+    let (mut forces, mut points) = (Vec::new(), Vec::new());
+    for push in pushes {
+        let centre = SHAPE.point([push.arc, push.angle]);
+        let force: Vector3<f64> = frame(&centre).iter().zip(push.force).map(|(v, f)| v * f).sum();
+        let (nodal, spread) = quadratic.spread(outside.clone(), |p| {
+            force * (-(p - centre).norm_squared() / (2.0 * WIDTH * WIDTH)).exp()
+        });
+        // To exactly 1 N.
+        let total = spread.iter().map(|(_, f)| f.norm()).sum::<f64>();
+        forces.extend(nodal.into_iter().map(|(n, f)| (n, f / total)));
+        points.extend(spread.into_iter().map(|(p, f)| (p, f / total)));
+    }
+    (Load { forces, ..Load::default() }, points)
+}
+
+/// A sensor in a cell: what the points of integration say is taken as it is, because what is made of it at nodes is a guess.
+fn probe(quadratic: &Quadratic, cell: usize) -> Probe {
+    let points = quadratic.integration_points(cell);
+    let share = 1.0 / points.len() as f64;
+    points.into_iter().map(|p| (p, share)).collect()
+}
+
+/// The cells halfway that are nearest to locations of interest, and their middles.
+fn sensors(quadratic: &Quadratic, halfway: Range<usize>) -> Vec<(usize, Point3<f64>)> {
+    let wanted = [[0.0, 0.0], [0.007_854, 0.4], [0.0157, 0.4], [0.023_708, 0.4], [0.007_854, 2.0]];
+    let middles: Vec<(usize, Point3<f64>)> = halfway
+        .map(|cell| {
+            let points = probe(quadratic, cell);
+            (cell, Point3::from(points.iter().map(|(p, w)| p.coords * *w).sum::<Vector3<f64>>()))
+        })
+        .collect();
+    let mut sensors = Vec::new();
+    for place in wanted.map(|at| SHAPE.point(at)) {
+        let far = |p: &Point3<f64>| (place + frame(&place)[0] * (SHAPE.thickness / 2.0) - p).norm();
+        sensors.extend(middles.iter().min_by(|a, b| far(&a.1).total_cmp(&far(&b.1))).copied());
+    }
+    sensors
+}
+
+/// What this crate says of so many sensors under forces at points.
+fn stresses(dome: &Dome, points: &[Share], sensors: usize) -> Vec<f64> {
+    let mut stress = vec![0.0; sensors];
+    let mut influence = vec![0.0; 3 * sensors];
+    for (point, force) in points {
+        let [arc, angle] = SHAPE.chart(point);
+        influence.fill(0.0);
+        dome.influence().add(arc, angle, 1.0, &mut influence);
+        for (s, a) in stress.iter_mut().zip(influence.chunks_exact(3)) {
+            *s += Vector3::new(a[0], a[1], a[2]).dot(force);
+        }
+    }
+    stress
 }
 
 /// Into the surface, down along it, and around the axis.

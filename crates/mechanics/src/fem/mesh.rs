@@ -71,45 +71,12 @@ impl HexMesh {
         // Whole halves of the cube's sides.
         let n = around.max(2).next_multiple_of(2);
         let layers = layers.max(1);
-        let angle = |i: usize| ((i as f64 / n as f64) * 2.0 - 1.0) * FRAC_PI_4;
-        // Directions of the surface's points, and how far down the cylinder they lie.
-        let mut rays: Vec<(Vector3<f64>, f64)> = Vec::new();
-        let mut quads: Vec<[usize; 4]> = Vec::new();
-        for j in 0..=n {
-            for i in 0..=n {
-                rays.push((Vector3::new(angle(i).tan(), angle(j).tan(), 1.0).normalize(), cylinder));
-            }
-        }
-        for j in 0..n {
-            for i in 0..n {
-                let a = j * (n + 1) + i;
-                quads.push([a, a + 1, a + n + 2, a + n + 1]);
-            }
-        }
-        // The patch's rim, counter-clockwise from above.
-        let side = n + 1;
-        let mut ring: Vec<usize> = (0..n).collect();
-        ring.extend((0..n).map(|j| j * side + n));
-        ring.extend((0..n).map(|i| n * side + n - i));
-        ring.extend((0..n).map(|j| (n - j) * side));
-        let rim: Vec<Vector3<f64>> = ring.iter().map(|&i| rays[i].0).collect();
-        let mut next_ring = |ring: &mut Vec<usize>, ray: &dyn Fn(usize) -> (Vector3<f64>, f64)| {
-            let below: Vec<usize> = (0..4 * n)
-                .map(|k| {
-                    rays.push(ray(k));
-                    rays.len() - 1
-                })
-                .collect();
-            for k in 0..4 * n {
-                let next = (k + 1) % (4 * n);
-                quads.push([ring[k], below[k], below[next], ring[next]]);
-            }
-            *ring = below;
-        };
+        let (mut surface, mut ring) = DomeSurface::cap(n, cylinder);
+        let rim: Vec<Vector3<f64>> = ring.iter().map(|&i| surface.rays[i].0).collect();
         for row in 1..=n / 2 {
             // On a side of the cube, the height of the ray falls from that of its upper edge to none.
             let height = (FRAC_PI_4 * (1.0 - 2.0 * row as f64 / n as f64)).tan();
-            next_ring(&mut ring, &|k| {
+            ring = surface.add_ring(&ring, |k| {
                 let edge = rim[k] / rim[k].z;
                 (Vector3::new(edge.x, edge.y, height).normalize(), cylinder)
             });
@@ -118,24 +85,9 @@ impl HexMesh {
         let rows = (cylinder / (std::f64::consts::TAU * radius / (4 * n) as f64)).round().max(1.0) as usize;
         for row in 1..=rows {
             let z = cylinder * (1.0 - row as f64 / rows as f64);
-            next_ring(&mut ring, &|k| (flat[k], z));
+            ring = surface.add_ring(&ring, |k| (flat[k], z));
         }
-
-        let count = rays.len();
-        let mut nodes = Vec::with_capacity(count * (layers + 1));
-        for layer in 0..=layers {
-            let r = radius - thickness * (1.0 - layer as f64 / layers as f64);
-            nodes.extend(rays.iter().map(|(ray, z)| Point3::new(0.0, 0.0, *z) + ray * r));
-        }
-        let mut cells = Vec::with_capacity(quads.len() * layers);
-        for layer in 0..layers {
-            for quad in &quads {
-                let [a, b, c, d] = quad.map(|i| (i + layer * count) as u32);
-                let up = count as u32;
-                cells.push([a, b, c, d, a + up, b + up, c + up, d + up]);
-            }
-        }
-        Ok(Self { nodes, cells })
+        Ok(surface.thickened(radius, thickness, layers))
     }
 
     /// Nodes in an order of elimination that keeps factors sparse: the mesh is cut in halves again and again, and the nodes
@@ -225,6 +177,70 @@ impl HexMesh {
     /// Corners of a cell.
     pub(crate) fn corners(&self, cell: &[u32; 8]) -> [Point3<f64>; 8] {
         cell.map(|i| self.nodes[i as usize])
+    }
+}
+
+/// The surface of a dome, which its elastomer repeats layer by layer.
+struct DomeSurface {
+    /// Directions of the surface's points, and how far down the cylinder they lie.
+    rays: Vec<(Vector3<f64>, f64)>,
+    quads: Vec<[usize; 4]>,
+}
+
+impl DomeSurface {
+    /// The upper side of the cube, of `n` quads each way, and its rim, counter-clockwise from above.
+    fn cap(n: usize, cylinder: f64) -> (Self, Vec<usize>) {
+        let angle = |i: usize| ((i as f64 / n as f64) * 2.0 - 1.0) * FRAC_PI_4;
+        let side = n + 1;
+        let (mut rays, mut quads) = (Vec::new(), Vec::new());
+        for j in 0..=n {
+            for i in 0..=n {
+                rays.push((Vector3::new(angle(i).tan(), angle(j).tan(), 1.0).normalize(), cylinder));
+            }
+        }
+        for j in 0..n {
+            for i in 0..n {
+                let a = j * side + i;
+                quads.push([a, a + 1, a + side + 1, a + side]);
+            }
+        }
+        let mut rim: Vec<usize> = (0..n).collect();
+        rim.extend((0..n).map(|j| j * side + n));
+        rim.extend((0..n).map(|i| n * side + n - i));
+        rim.extend((0..n).map(|j| (n - j) * side));
+        (Self { rays, quads }, rim)
+    }
+
+    /// Adds a ring of quads below a ring of points; their lower points, which lie on these rays.
+    fn add_ring(&mut self, above: &[usize], ray: impl Fn(usize) -> (Vector3<f64>, f64)) -> Vec<usize> {
+        let count = above.len();
+        let begin = self.rays.len();
+        self.rays.extend((0..count).map(ray));
+        let below: Vec<usize> = (begin..begin + count).collect();
+        for k in 0..count {
+            let next = (k + 1) % count;
+            self.quads.push([above[k], below[k], below[next], above[next]]);
+        }
+        below
+    }
+
+    /// The mesh of `layers` of cells, the outermost nodes of which lie at `radius` \[m\] along the rays.
+    fn thickened(&self, radius: f64, thickness: f64, layers: usize) -> HexMesh {
+        let count = self.rays.len();
+        let mut nodes = Vec::with_capacity(count * (layers + 1));
+        for layer in 0..=layers {
+            let r = radius - thickness * (1.0 - layer as f64 / layers as f64);
+            nodes.extend(self.rays.iter().map(|(ray, z)| Point3::new(0.0, 0.0, *z) + ray * r));
+        }
+        let mut cells = Vec::with_capacity(self.quads.len() * layers);
+        for layer in 0..layers {
+            for quad in &self.quads {
+                let [a, b, c, d] = quad.map(|i| (i + layer * count) as u32);
+                let up = count as u32;
+                cells.push([a, b, c, d, a + up, b + up, c + up, d + up]);
+            }
+        }
+        HexMesh { nodes, cells }
     }
 }
 

@@ -75,13 +75,13 @@ impl ForwardModel for Probe {
         Ok(())
     }
 
-    /// Not what [`response`](ForwardModel::response) says, so that it shows who was asked.
+    /// Not what [`response`](ForwardModel::response) says, so that a test sees which one was called.
     fn untouched(&self, out: &mut [f64]) -> Result<(), ModelError> {
         out.copy_from_slice(&[17.0, 19.0]);
         Ok(())
     }
 
-    /// Not what [`response`](ForwardModel::response) says, so that it shows who was asked.
+    /// Not what [`response`](ForwardModel::response) says, so that a test sees which one was called.
     fn responses(&self, stimuli: &[Stimulus], out: &mut [f64]) -> Result<(), ModelError> {
         out.fill(stimuli.len() as f64);
         Ok(())

@@ -1,4 +1,4 @@
-//! Readings of devices with effects are those that were recorded when each effect was last looked at.
+//! Readings of devices with effects are those that were recorded when each effect was last reviewed.
 
 use std::collections::BTreeMap;
 use std::path::Path;

@@ -48,12 +48,12 @@ fn millimetres(points: impl Iterator<Item = (f64, f64)>) -> Vec<(f64, f64)> {
 fn unbroken(points: impl Iterator<Item = (usize, f64, f64)>) -> Vec<(f64, f64)> {
     let mut found = Vec::new();
     let mut last: Option<usize> = None;
-    for (place, x, y) in points {
-        if last.is_some_and(|l| l + 1 != place) {
+    for (location, x, y) in points {
+        if last.is_some_and(|l| l + 1 != location) {
             found.push((f64::NAN, f64::NAN));
         }
         found.push((x * 1e3, y));
-        last = Some(place);
+        last = Some(location);
     }
     found
 }
@@ -76,7 +76,7 @@ fn isolines(body: &mut String, line: &LineStudy, unit: &str) -> Result<()> {
     let every = count.div_ceil(SHOWN).max(1);
     let axes = Axes {
         y_range: Some((0.0, 1.5)),
-        ..Axes::new("isolines of all taxels", "place along the row [mm]", "force [N]")
+        ..Axes::new("isolines of all taxels", "position along the row [mm]", "force [N]")
     };
     let mut all = Vec::new();
     for (n, k) in (0..count).step_by(every).enumerate() {
@@ -113,7 +113,7 @@ fn isolines(body: &mut String, line: &LineStudy, unit: &str) -> Result<()> {
     };
     body.push_str(&figure(
         &[curves(&axes, &all)?, curves(&single, &fitted)?],
-        "<b>Taxel value isolines</b> (5.3): how hard the row must be pressed at each place for a taxel to read one value. \
+        "<b>Taxel value isolines</b> (5.3): how hard the row must be pressed at each position for a taxel to read one value. \
          Where two of them cross, a contact is found. <i>One taxel, and its fits</i>: dots are its isolines, lines the fits \
          I(d) = g(S) + λ|d|<sup>α</sup> (5.16). In the manner of the thesis' Figs. 5.9 B and 5.10 B.",
     ));
@@ -195,14 +195,14 @@ fn maps(body: &mut String, line: &LineStudy, unit: &str) -> Result<()> {
     let scaled: Vec<Vec<Option<f64>>> =
         line.map.position.iter().map(|r| r.iter().map(|v| v.map(|v| v * 1e3)).collect()).collect();
     let axes =
-        |title: &str| Axes { log_y: true, ..Axes::new(title, "place along the row [mm]", "force [N]") };
+        |title: &str| Axes { log_y: true, ..Axes::new(title, "position along the row [mm]", "force [N]") };
     body.push_str(&figure(
         &[
             heat(&axes("σ_P"), "σ_P [mm]", (&arc, &line.map.forces), &scaled, std::slice::from_ref(&least))?,
             heat(&axes("σ_F"), "σ_F [N]", (&arc, &line.map.forces), &line.map.force, &[least])?,
         ],
         &format!(
-            "<b>Both deviations over place and force</b>, from the area in which the bands S ± σ_S of all taxels that read \
+            "<b>Both deviations over position and force</b>, from the area in which the bands S ± σ_S of all taxels that read \
              S<sub>min</sub> = {} {unit} or more overlap: half of the bounding box of its exact corners (5.7–5.10). Below the \
              line, F<sub>S</sub>, fewer than two taxels do, and nothing can be triangulated; it is lower between taxels \
              than above them. The harder a press, the more taxels take part. Fig. 5.4 B.",
@@ -458,7 +458,7 @@ fn shapes(body: &mut String) -> Result<()> {
     let axes = |title: &str, y: &str, top: f64| Axes {
         y_range: Some((0.0, top)),
         size: (480, 320),
-        ..Axes::new(title, "place (taxels at 0 and 1)", y)
+        ..Axes::new(title, "position (taxels at 0 and 1)", y)
     };
     body.push_str("<h2>What the shape of isolines does</h2>\n");
     body.push_str(&figure(

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use anyhow::Result;
 use dermis_figures::{Axes, Bar, bars, escape, figure, page, surface_within};
-use dermis_gap::{Axis, Bin, Gap, Map, Report, Tier, Verdict};
+use dermis_gap::{Axis, Bin, Gap, Map, NamedEffect, Report, Tier, Unknown, Verdict};
 
 use super::text::{percent, short, value};
 
@@ -200,6 +200,7 @@ fn along(name: impl Into<String>, axis: &Axis) -> Bar {
     Bar::new(name, axis.share.max(0.0), percent(axis.share)).interval(axis.interval)
 }
 
+/// The named effects, how far they reduce the residual, and what they leave.
 fn effects(body: &mut String, report: &Report) -> Result<()> {
     let _ = writeln!(body, "<h2>What makes it</h2>");
     if report.effects.is_empty() {
@@ -215,37 +216,7 @@ fn effects(body: &mut String, report: &Report) -> Result<()> {
         }
     }
     for effect in &report.effects {
-        let class: Vec<String> = effect.names().iter().map(|name| escape(name)).collect();
-        let or = if effect.tier == Tier::Loose { ", or the model discrepancy" } else { "" };
-        let _ = writeln!(
-            body,
-            "<h3>{}{or}</h3><p>{} Explains {} of the variance when it comes last, {} alone; {} of what all named effects explain; \
-             family-wise p = {:.3}.</p>",
-            class.join(" or "),
-            escape(&effect.what),
-            percent(effect.gain),
-            percent(effect.solo),
-            percent(effect.shapley),
-            effect.p_max_t
-        );
-        if !effect.covers.is_empty() {
-            let _ = writeln!(
-                body,
-                "<p>More general effects that contain it: {}.</p>",
-                escape(&effect.covers.join(", "))
-            );
-        }
-        for alias in &effect.covariate_alias {
-            let _ = writeln!(body, "<p>In this recording it could also be {}.</p>", escape(alias));
-        }
-        if !effect.theta.is_empty() {
-            let values: Vec<String> = effect.theta.iter().map(|v| escape(&value(v))).collect();
-            let _ = writeln!(body, "<pre>{}</pre>", values.join("\n"));
-        }
-        if !effect.written {
-            let _ =
-                writeln!(body, "<p>A skin description cannot say it: the corrected skin is without it.</p>");
-        }
+        named(body, effect);
     }
     if let Some(reduction) = &report.residual_reduction {
         let how = if reduction.achieved.is_some() {
@@ -260,7 +231,45 @@ fn effects(body: &mut String, report: &Report) -> Result<()> {
             percent(reduction.predicted)
         );
     }
-    let unknown = &report.unknown;
+    unknown(body, &report.unknown)
+}
+
+/// A named effect, what it explains, and its fitted values.
+fn named(body: &mut String, effect: &NamedEffect) {
+    let class: Vec<String> = effect.names().iter().map(|name| escape(name)).collect();
+    let or = if effect.tier == Tier::Loose { ", or the model discrepancy" } else { "" };
+    let _ = writeln!(
+        body,
+        "<h3>{}{or}</h3><p>{} Explains {} of the variance when it comes last, {} alone; {} of what all named effects explain; \
+         family-wise p = {:.3}.</p>",
+        class.join(" or "),
+        escape(&effect.what),
+        percent(effect.gain),
+        percent(effect.solo),
+        percent(effect.shapley),
+        effect.p_max_t
+    );
+    if !effect.covers.is_empty() {
+        let _ = writeln!(
+            body,
+            "<p>More general effects that contain it: {}.</p>",
+            escape(&effect.covers.join(", "))
+        );
+    }
+    for alias in &effect.covariate_alias {
+        let _ = writeln!(body, "<p>In this recording it could also be {}.</p>", escape(alias));
+    }
+    if !effect.theta.is_empty() {
+        let values: Vec<String> = effect.theta.iter().map(|v| escape(&value(v))).collect();
+        let _ = writeln!(body, "<pre>{}</pre>", values.join("\n"));
+    }
+    if !effect.written {
+        let _ = writeln!(body, "<p>A skin description cannot say it: the corrected skin is without it.</p>");
+    }
+}
+
+/// What the named effects leave.
+fn unknown(body: &mut String, unknown: &Unknown) -> Result<()> {
     let _ = writeln!(
         body,
         "<p>Of the systematic gap {} is explained by the named effects, {} more could be the model discrepancy, which is the simulator's error within its \

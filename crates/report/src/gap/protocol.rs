@@ -4,10 +4,16 @@ use std::fmt::Write;
 
 use dermis_gap::protocol::design::settles;
 use dermis_studies::gap::planning::Planned;
+use dermis_studies::gap::protocol::Protocol;
 
 /// A probability as people read it.
 fn probability(p: f64) -> String {
     if p < 0.001 { "< 0.1 %".to_owned() } else { format!("{:.1} %", 100.0 * p) }
+}
+
+/// Millimetres.
+fn mm(metres: f64) -> String {
+    format!("{:.2}", 1000.0 * metres)
 }
 
 /// What a person needs to carry out a plan: tips and locations, then step after step what to do and what for. `plan` is how the plan file is
@@ -15,7 +21,6 @@ fn probability(p: f64) -> String {
 #[must_use]
 pub fn instructions(found: &Planned, plan: &str) -> String {
     let protocol = &found.protocol;
-    let mm = |v: f64| format!("{:.2}", 1000.0 * v);
     let mut text = format!(
         "# {}: {} presses, {:.1} min\n\nSkin `{}`: {}.\n",
         protocol.name, found.presses, found.minutes, protocol.skin, protocol.description
@@ -31,6 +36,35 @@ pub fn instructions(found: &Planned, plan: &str) -> String {
             100.0 * unknown
         );
     }
+    let _ = writeln!(text, "\nTips: {}.\n", tips(protocol));
+    tables(&mut text, protocol);
+    let _ = write!(
+        text,
+        "\nPlaces are in the frame of the skin's link, forces along the inward normal. Record readings, place, force, tip and session the whole \
+         time, the pauses included, as one bag.\n"
+    );
+    match found.unknown {
+        None => {
+            let _ = write!(
+                text,
+                "Do it twice, the second time after the skin was switched off, or mounted anew: the same locations in two sessions tell what a \
+                 session changes.\n\n```\ndermis collect SKIN --plan {plan} --out BAG      # on the model\n\
+                 dermis gap diagnose --skin SKIN --real BAG --and BAG2 --out DIR\n```\n"
+            );
+        }
+        Some(_) => {
+            let _ = write!(
+                text,
+                "\n```\ndermis collect SKIN --plan {plan} --out BAG2     # on the model\n\
+                 dermis gap diagnose --skin SKIN --real BAG --and BAG2 --out DIR\n```\n"
+            );
+        }
+    }
+    text
+}
+
+/// The tips that a protocol needs.
+fn tips(protocol: &Protocol) -> String {
     let mut tips: Vec<f64> = protocol.steps.iter().filter(|s| !s.at.is_empty()).map(|s| s.tip).collect();
     tips.sort_by(f64::total_cmp);
     tips.dedup();
@@ -39,7 +73,11 @@ pub fn instructions(found: &Planned, plan: &str) -> String {
         dermis_skin::TipKind::FlatPunch => "flat punch",
     };
     let sizes: Vec<String> = tips.iter().map(|t| format!("a {shape} of {} mm", mm(*t))).collect();
-    let _ = writeln!(text, "\nTips: {}.\n", sizes.join(", "));
+    sizes.join(", ")
+}
+
+/// The table of steps and that of the locations that they number.
+fn tables(text: &mut String, protocol: &Protocol) {
     let mut locations: Vec<[f64; 3]> = Vec::new();
     let mut number = |at: &[f64; 3]| match locations.iter().position(|p| p == at) {
         Some(index) => index + 1,
@@ -85,29 +123,6 @@ pub fn instructions(found: &Planned, plan: &str) -> String {
     for (index, [x, y, z]) in locations.iter().enumerate() {
         let _ = writeln!(text, "| {} | {} | {} | {} |", index + 1, mm(*x), mm(*y), mm(*z));
     }
-    let _ = write!(
-        text,
-        "\nPlaces are in the frame of the skin's link, forces along the inward normal. Record readings, place, force, tip and session the whole \
-         time, the pauses included, as one bag.\n"
-    );
-    match found.unknown {
-        None => {
-            let _ = write!(
-                text,
-                "Do it twice, the second time after the skin was switched off, or mounted anew: the same locations in two sessions tell what a \
-                 session changes.\n\n```\ndermis collect SKIN --plan {plan} --out BAG      # on the model\n\
-                 dermis gap diagnose --skin SKIN --real BAG --and BAG2 --out DIR\n```\n"
-            );
-        }
-        Some(_) => {
-            let _ = write!(
-                text,
-                "\n```\ndermis collect SKIN --plan {plan} --out BAG2     # on the model\n\
-                 dermis gap diagnose --skin SKIN --real BAG --and BAG2 --out DIR\n```\n"
-            );
-        }
-    }
-    text
 }
 
 /// What tells what apart.

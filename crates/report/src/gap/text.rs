@@ -2,13 +2,38 @@
 
 use std::fmt::Write as _;
 
-use dermis_gap::{Downstream, Report, Tier, Value};
+use dermis_gap::{DataSummary, Downstream, Gap, NamedEffect, Report, Tier, Value};
 
 /// The report as text.
 #[must_use]
 pub fn text(report: &Report) -> String {
     let mut out = format!("{}\n", report.sentence);
-    let data = &report.data;
+    data(&mut out, &report.data);
+    let Some(gap) = &report.gap else { return out };
+    size(&mut out, gap);
+    axes(&mut out, report);
+    consistency_checks(&mut out, report);
+    if !report.effects.is_empty() {
+        let _ = writeln!(out, "\neffects");
+    }
+    for named in &report.effects {
+        effect(&mut out, named);
+    }
+    suspects(&mut out, report);
+    residual(&mut out, report);
+    beyond_the_library(&mut out, report);
+    experiments(&mut out, report);
+    for down in &report.downstream {
+        let _ = writeln!(out, "{}", downstream(down));
+    }
+    for warning in &report.warnings {
+        let _ = writeln!(out, "note: {warning}");
+    }
+    out
+}
+
+/// Which recording it is, what is wrong with it, and what is missing.
+fn data(out: &mut String, data: &DataSummary) {
     let _ = writeln!(
         out,
         "\n{}: {} frames, {} presses of skin {}; {} frames sampled, {} locations fitted, {} kept for the end",
@@ -20,7 +45,10 @@ pub fn text(report: &Report) -> String {
     for missing in &data.missing {
         let _ = writeln!(out, "  missing: {}; open: {}", missing.what, missing.blocks);
     }
-    let Some(gap) = &report.gap else { return out };
+}
+
+/// How large the gap is.
+fn size(out: &mut String, gap: &Gap) {
     let _ = writeln!(
         out,
         "\nunexplained variance {}, of which noise {}, systematic {} ({} to {})",
@@ -34,21 +62,30 @@ pub fn text(report: &Report) -> String {
         let _ =
             writeln!(out, "  of the noise, {} differs between presses that were done alike", percent(share));
     }
+}
+
+/// Along what the gap goes.
+fn axes(out: &mut String, report: &Report) {
     let telling: Vec<_> = report.axes.iter().filter(|a| a.share > 0.01).take(5).collect();
-    if !telling.is_empty() {
-        let _ = writeln!(out, "\nwhere");
-        for axis in telling {
-            let [low, high] = axis.interval;
-            let _ = writeln!(
-                out,
-                "  {:44} {:>7} of the gap ({} to {})",
-                axis.title(),
-                percent(axis.share),
-                percent(low),
-                percent(high)
-            );
-        }
+    if telling.is_empty() {
+        return;
     }
+    let _ = writeln!(out, "\nwhere");
+    for axis in telling {
+        let [low, high] = axis.interval;
+        let _ = writeln!(
+            out,
+            "  {:44} {:>7} of the gap ({} to {})",
+            axis.title(),
+            percent(axis.share),
+            percent(low),
+            percent(high)
+        );
+    }
+}
+
+/// Which consistency checks the readings violate.
+fn consistency_checks(out: &mut String, report: &Report) {
     for check in report.consistency_checks.iter().filter(|c| c.violated) {
         let share = check.share.map_or(String::new(), |s| format!(", {} of the signal", percent(s)));
         let _ = writeln!(
@@ -59,59 +96,69 @@ pub fn text(report: &Report) -> String {
             check.violation.unwrap_or(f64::NAN)
         );
     }
-    if !report.effects.is_empty() {
-        let _ = writeln!(out, "\neffects");
-    }
-    for effect in &report.effects {
-        let tier = match effect.tier {
-            Tier::Strict => "",
-            Tier::Loose => ", or the model discrepancy",
-        };
+}
+
+/// Fitted values of an effect that are shown, at most.
+const SHOWN: usize = 12;
+
+/// A named effect, what cannot be distinguished from it, and its fitted values.
+fn effect(out: &mut String, effect: &NamedEffect) {
+    let tier = match effect.tier {
+        Tier::Strict => "",
+        Tier::Loose => ", or the model discrepancy",
+    };
+    let _ = writeln!(
+        out,
+        "  {}{tier}: explains {} of the variance (p = {:.3})",
+        effect.names().first().unwrap_or(&effect.label),
+        percent(effect.gain),
+        effect.p_max_t
+    );
+    for alike in effect.class.iter().skip(1).filter(|a| !a.alias) {
         let _ = writeln!(
             out,
-            "  {}{tier}: explains {} of the variance (p = {:.3})",
-            effect.names().first().unwrap_or(&effect.label),
-            percent(effect.gain),
-            effect.p_max_t
+            "    indistinguishable from {} (explains {}, confused with probability {:.2})",
+            alike.name,
+            percent(alike.gain),
+            alike.p_confuse
         );
-        for alike in effect.class.iter().skip(1).filter(|a| !a.alias) {
-            let _ = writeln!(
-                out,
-                "    indistinguishable from {} (explains {}, confused with probability {:.2})",
-                alike.name,
-                percent(alike.gain),
-                alike.p_confuse
-            );
-        }
-        if !effect.covers.is_empty() {
-            let _ = writeln!(out, "    more general: {}", effect.covers.join(", "));
-        }
-        for alias in &effect.covariate_alias {
-            let _ = writeln!(out, "    in this recording also {alias}");
-        }
-        let shown = 12;
-        for theta in effect.theta.iter().take(shown) {
-            let _ = writeln!(out, "    {}", value(theta));
-        }
-        if effect.theta.len() > shown {
-            let _ = writeln!(out, "    and {} values more", effect.theta.len() - shown);
-        }
-        if !effect.written {
-            let _ = writeln!(out, "    a skin description cannot say it: the corrected skin is without it");
-        }
     }
-    if report.effects.is_empty() && !report.suspects.is_empty() {
-        let _ = writeln!(out, "\nno effect is named; alone would explain of the variance");
-        for suspect in &report.suspects {
-            let _ = writeln!(
-                out,
-                "  {:32} {} ({} beyond the simulator's tolerances)",
-                suspect.name,
-                percent(suspect.gain),
-                percent(suspect.beyond_discrepancy)
-            );
-        }
+    if !effect.covers.is_empty() {
+        let _ = writeln!(out, "    more general: {}", effect.covers.join(", "));
     }
+    for alias in &effect.covariate_alias {
+        let _ = writeln!(out, "    in this recording also {alias}");
+    }
+    for theta in effect.theta.iter().take(SHOWN) {
+        let _ = writeln!(out, "    {}", value(theta));
+    }
+    if effect.theta.len() > SHOWN {
+        let _ = writeln!(out, "    and {} values more", effect.theta.len() - SHOWN);
+    }
+    if !effect.written {
+        let _ = writeln!(out, "    a skin description cannot say it: the corrected skin is without it");
+    }
+}
+
+/// Where no effect is named, what single effects would explain alone.
+fn suspects(out: &mut String, report: &Report) {
+    if !report.effects.is_empty() || report.suspects.is_empty() {
+        return;
+    }
+    let _ = writeln!(out, "\nno effect is named; alone would explain of the variance");
+    for suspect in &report.suspects {
+        let _ = writeln!(
+            out,
+            "  {:32} {} ({} beyond the simulator's tolerances)",
+            suspect.name,
+            percent(suspect.gain),
+            percent(suspect.beyond_discrepancy)
+        );
+    }
+}
+
+/// How far the named effects reduce the residual, and what they leave.
+fn residual(out: &mut String, report: &Report) {
     if let Some(reduction) = &report.residual_reduction {
         let how = if reduction.achieved.is_some() {
             "removes"
@@ -129,6 +176,10 @@ pub fn text(report: &Report) -> String {
             percent(report.unknown.explainable)
         );
     }
+}
+
+/// What speaks for a cause that no effect is: the evidence, and the shape that explains most.
+fn beyond_the_library(out: &mut String, report: &Report) {
     if let Some((evidence, threshold)) = report.unknown.evidence.zip(report.unknown.threshold) {
         let called = if evidence > threshold { "called unknown" } else { "not called unknown" };
         let _ = writeln!(
@@ -146,6 +197,10 @@ pub fn text(report: &Report) -> String {
             percent(rival.explains)
         );
     }
+}
+
+/// Which experiments would tell most.
+fn experiments(out: &mut String, report: &Report) {
     for experiment in report.next_experiments.iter().take(3) {
         let _ = writeln!(
             out,
@@ -156,13 +211,6 @@ pub fn text(report: &Report) -> String {
             experiment.p_confuse_after
         );
     }
-    for down in &report.downstream {
-        let _ = writeln!(out, "{}", downstream(down));
-    }
-    for warning in &report.warnings {
-        let _ = writeln!(out, "note: {warning}");
-    }
-    out
 }
 
 /// A fitted value with its interval.

@@ -14,7 +14,7 @@ use nalgebra::{DMatrix, DVector, Point3, Vector3};
 
 use crate::Families;
 
-/// Frames between two that are looked at: effects that remember see a slower clock, nothing else.
+/// Frames between two that are sampled: effects that remember see a slower clock, nothing else.
 const STRIDE: usize = 5;
 /// Devices that are drawn of an effect that differs from device to device.
 const DEVICES: u64 = 4;

@@ -20,7 +20,7 @@ pub struct Request {
     /// Skin description: the model by design.
     #[arg(long, requires = "presses")]
     pub skin: Option<PathBuf>,
-    /// Labelled bag whose presses are simulated anew; its readings are not looked at. Several are pressed one after another.
+    /// Labelled bag whose presses are simulated anew; its readings are not used. Several are pressed one after another.
     #[arg(long, value_name = "BAG", requires = "skin")]
     pub presses: Vec<PathBuf>,
     /// Devices along the presses of each bag.
@@ -48,7 +48,7 @@ pub struct Made {
     pub trials: Vec<Trial>,
 }
 
-/// Simulates and diagnoses. `done` is told after each bag how many trials there are.
+/// Simulates and diagnoses. `done` is called after each bag with the number of trials so far.
 ///
 /// # Errors
 ///

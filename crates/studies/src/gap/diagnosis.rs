@@ -24,8 +24,8 @@ pub struct Request {
     /// Labelled bag of the real skin; several are sessions of one skin.
     #[arg(long, required = true, value_name = "BAG")]
     pub real: Vec<PathBuf>,
-    /// Another bag of the same device, recorded later: presses that `dermis gap next` asked for, say. All are diagnosed together, each
-    /// with its own zero, session and time; a place that several have is one place.
+    /// Another bag of the same device, recorded later: presses that `dermis gap next` proposed, say. All are diagnosed together, each
+    /// with its own zero, session and time; a location that several have is one location.
     #[arg(long, value_name = "BAG")]
     pub and: Vec<PathBuf>,
     /// Take the ground truth from a robot's pose and a force sensor's wrench, as this file maps them; see launch/labels/.

@@ -11,10 +11,11 @@ use dermis_inference::{
     RuntimeConfig, TrainingSection,
 };
 use dermis_learn::cli::Labels;
-use dermis_learn::real2sim::{Compliance, Recorded, Scenes, Settings, Trained, train};
+use dermis_learn::real2sim::{Compliance, Pipeline, Recorded, Scenes, Settings, Trained, train};
 use dermis_learn::target::Maps;
 use dermis_learn::{Dataset, Evaluation, Evaluator, SampleId};
-use dermis_skin::{DisplacementMap, Estimate};
+use dermis_model::ForwardModel;
+use dermis_skin::{DisplacementMap, Estimate, SkinDescription};
 use serde::{Deserialize, Serialize, Serializer};
 use serde_json::json;
 
@@ -94,10 +95,46 @@ pub fn learn(options: &Request, families: &Families, progress: &dyn Progress) ->
     )?;
     let seconds = started.elapsed().as_secs_f64();
     progress.begin("held-out contacts");
-    let evaluation = {
+    let course = Course { settings: &settings, skin: &skin, model: &model, data: &data };
+    let evaluation = course.evaluate(&pipeline, &compliance, &split.test, runtime)?;
+    let mut writer = BundleWriter::new(course.manifest(&pipeline, recorded.len(), &evaluation));
+    writer.sensitivity = Some(pipeline.sensitivity_onnx()?);
+    writer.card = dermis_learn::card::of_data(&data)?;
+    let card = [
+        ("real2sim", json!(trained)),
+        ("settings", json!(settings)),
+        ("split", json!(settings.split)),
+        ("split_in_words", json!(settings.split.describe())),
+        ("seed", json!(settings.scenes.seed)),
+        ("held_out", evaluation.to_json()),
+        ("fit_seconds", json!(seconds)),
+    ];
+    writer.card.extend(card.into_iter().map(|(key, value)| (key.to_owned(), value)));
+    writer.write(&options.out, &pipeline.to_onnx()?)?;
+    Ok(Findings { trained, evaluation, seconds })
+}
+
+/// What a pipeline was trained on.
+struct Course<'a> {
+    settings: &'a Settings,
+    skin: &'a SkinDescription,
+    model: &'a Arc<dyn ForwardModel>,
+    data: &'a Dataset,
+}
+
+impl Course<'_> {
+    /// Errors on contacts that were held out, where the surface gives way and the force is one that was learned.
+    fn evaluate(
+        &self,
+        pipeline: &Pipeline,
+        compliance: &Compliance,
+        held_out: &[SampleId],
+        runtime: &Runtime,
+    ) -> Result<Evaluation> {
+        let Self { settings, skin, model, data } = *self;
         let mut reader = pipeline.contacts(model.surface(), runtime)?;
-        let mut evaluator = Evaluator::of(&data).with_maps(Maps::new(&skin, Some(Arc::clone(&model)), &[])?);
-        for (id, sample) in data.gather(&split.test)? {
+        let mut evaluator = Evaluator::of(data).with_maps(Maps::new(skin, Some(Arc::clone(model)), &[])?);
+        for (id, sample) in data.gather(held_out)? {
             let Some(truth) = sample.truth.as_ref().filter(|t| t.touched()) else { continue };
             let heavy =
                 |c: &dermis_learn::TruthContact| c.normal_force().is_some_and(|f| f >= settings.least);
@@ -115,56 +152,46 @@ pub fn learn(options: &Request, families: &Families, progress: &dyn Progress) ->
             evaluator.push(id, truth, &estimate);
             evaluator.push_maps(truth, &estimate)?;
         }
-        evaluator.finish(settings.split.describe())
-    };
+        Ok(evaluator.finish(settings.split.describe()))
+    }
 
-    let channels = skin.channels().len();
-    let features = FeatureConfig::newest(vec![0.0; channels], vec![pipeline.input_scale(); channels]);
-    let mut map = OutputSpec::new(MAP_DISPLACEMENT, "m", 0.0, f64::from(pipeline.output_scale()));
-    map.count = model.surface().points.len();
-    let training = TrainingSection {
-        data_hash: data.hash(),
-        seed: settings.scenes.seed,
-        samples: recorded.len() as u64,
-        held_out: settings.split.describe(),
-    };
-    let mut manifest = Manifest::new(
-        format!("{}-real2sim", skin.name),
-        &skin,
-        Baseline::Tared,
-        features,
-        OutputConfig { values: vec![map] },
-        training,
-    );
-    manifest.description.clone_from(&settings.description);
-    manifest.force_range = Some([settings.least, settings.scenes.force[1]]);
-    let rms = |name: &str| evaluation.quantities.get(name).map(|s| s.rms);
-    let mut section = pipeline.section();
-    // Both tangents share the squares of a distance.
-    section.position_sigma = rms("position").map(|r| r / std::f64::consts::SQRT_2);
-    section.force_sigma = rms("force.normal");
-    manifest.peaks = Some(section);
-    manifest.metrics = evaluation
-        .quantities
-        .iter()
-        .filter(|(name, _)| matches!(name.as_str(), "position" | "force.normal"))
-        .map(|(name, s)| (format!("{}_rmse_{}", name.replace('.', "_"), s.unit.to_lowercase()), s.rms))
-        .collect();
-    let mut writer = BundleWriter::new(manifest);
-    writer.sensitivity = Some(pipeline.sensitivity_onnx()?);
-    writer.card = dermis_learn::card::of_data(&data)?;
-    let card = [
-        ("real2sim", json!(trained)),
-        ("settings", json!(settings)),
-        ("split", json!(settings.split)),
-        ("split_in_words", json!(settings.split.describe())),
-        ("seed", json!(settings.scenes.seed)),
-        ("held_out", evaluation.to_json()),
-        ("fit_seconds", json!(seconds)),
-    ];
-    writer.card.extend(card.into_iter().map(|(key, value)| (key.to_owned(), value)));
-    writer.write(&options.out, &pipeline.to_onnx()?)?;
-    Ok(Findings { trained, evaluation, seconds })
+    /// What the bundle of a pipeline says of itself, which was trained with so many recorded contacts.
+    fn manifest(&self, pipeline: &Pipeline, recorded: usize, evaluation: &Evaluation) -> Manifest {
+        let Self { settings, skin, model, data } = *self;
+        let channels = skin.channels().len();
+        let features = FeatureConfig::newest(vec![0.0; channels], vec![pipeline.input_scale(); channels]);
+        let mut map = OutputSpec::new(MAP_DISPLACEMENT, "m", 0.0, f64::from(pipeline.output_scale()));
+        map.count = model.surface().points.len();
+        let training = TrainingSection {
+            data_hash: data.hash(),
+            seed: settings.scenes.seed,
+            samples: recorded as u64,
+            held_out: settings.split.describe(),
+        };
+        let mut manifest = Manifest::new(
+            format!("{}-real2sim", skin.name),
+            skin,
+            Baseline::Tared,
+            features,
+            OutputConfig { values: vec![map] },
+            training,
+        );
+        manifest.description.clone_from(&settings.description);
+        manifest.force_range = Some([settings.least, settings.scenes.force[1]]);
+        let rms = |name: &str| evaluation.quantities.get(name).map(|s| s.rms);
+        let mut section = pipeline.section();
+        // Both tangents share the squares of a distance.
+        section.position_sigma = rms("position").map(|r| r / std::f64::consts::SQRT_2);
+        section.force_sigma = rms("force.normal");
+        manifest.peaks = Some(section);
+        manifest.metrics = evaluation
+            .quantities
+            .iter()
+            .filter(|(name, _)| matches!(name.as_str(), "position" | "force.normal"))
+            .map(|(name, s)| (format!("{}_rmse_{}", name.replace('.', "_"), s.unit.to_lowercase()), s.rms))
+            .collect();
+        manifest
+    }
 }
 
 /// Four of five locations to learn from, and the fifth to choose by.

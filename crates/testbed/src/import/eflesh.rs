@@ -7,6 +7,7 @@
 use std::{
     collections::{BTreeMap, BTreeSet},
     io::{BufRead, BufReader},
+    ops::Range,
     path::Path,
 };
 
@@ -167,67 +168,102 @@ pub fn eflesh(
     out_dir: &Path,
     progress: &mut dyn FnMut(u64, u64),
 ) -> Result<ImportReport, ImportError> {
-    let sensor_path = run_dir.join("sensor.csv");
-    let sensor = read(&sensor_path)?;
-    let states_path = run_dir.join("states.csv");
-    let states = read(&states_path)?;
-    let channels = sensor[0].values.len();
-    let kind = match (channels, states[0].values.len()) {
-        (15, 3) => Kind::Spatial,
-        (15, 4) => Kind::Normal,
-        (30, 4) => Kind::Shear,
-        (15 | 30, columns) => {
-            return Err(ImportError::file(
-                &states_path,
-                format!("has {} columns; known are 4 (time, x, y, z) and, with weight, 5", columns + 1),
-            ));
-        }
-        _ => {
-            return Err(ImportError::file(
-                &sensor_path,
-                format!(
-                    "has {} columns; known are 16 and 31: time and three axes of 5 or 10 magnetometers",
-                    channels + 1
-                ),
-            ));
-        }
-    };
-    let baselines = read_baselines(run_dir, &sensor)?;
+    let run = Run::read(run_dir)?;
+    let starts = stretches(run.baselines.as_deref(), run.sensor.len(), run.kind);
+    let session = run_dir.file_name().map_or("eflesh".into(), |name| name.to_string_lossy().into_owned());
+    let start_stamp = stamp_of(run.sensor[0].time).unwrap_or_default();
+    let first_idle = if run.baselines.is_some() { IDLE_REPEATS * IDLE_STEP } else { 0 };
+    let mut target = Target::create(run_dir, out_dir, &session, skin(run.kind)?, start_stamp - first_idle)?;
+    let mut locations = Locations::new(&run.states);
+    let readings = run.sensor.len();
+    for (press, &start) in starts.iter().enumerate() {
+        let end = starts.get(press + 1).copied().unwrap_or(readings);
+        run.write_stroke(press, start..end, &mut locations, &mut target, progress)?;
+    }
+    progress(readings as u64, readings as u64);
+    let facts = facts(run.kind, run.baselines.is_some(), &locations, starts.len() as u64, run.worst);
+    target.finish(facts, run_dir)
+}
 
-    let mut labels = Vec::with_capacity(sensor.len());
-    let mut worst: f64 = 0.0;
-    for (index, row) in sensor.iter().enumerate() {
-        let (state, distance) = nearest(&states, row.time);
-        if distance > WORST {
-            return Err(ImportError::Value {
-                path: sensor_path,
-                at: format!("row {}", index + 1),
-                problem: format!(
-                    "the nearest robot state in states.csv is {distance:.3} s away: the files don't belong together"
-                ),
-            });
+/// A run, as its files say.
+struct Run {
+    kind: Kind,
+    sensor: Vec<Row>,
+    states: Vec<Row>,
+    /// Which state is nearest in time to each reading.
+    labels: Vec<usize>,
+    /// \[s\] between a reading and that state at most.
+    worst: f64,
+    baselines: Option<Vec<Vec<f64>>>,
+}
+
+impl Run {
+    fn read(run_dir: &Path) -> Result<Self, ImportError> {
+        let sensor_path = run_dir.join("sensor.csv");
+        let sensor = read(&sensor_path)?;
+        let states_path = run_dir.join("states.csv");
+        let states = read(&states_path)?;
+        let channels = sensor[0].values.len();
+        let kind = match (channels, states[0].values.len()) {
+            (15, 3) => Kind::Spatial,
+            (15, 4) => Kind::Normal,
+            (30, 4) => Kind::Shear,
+            (15 | 30, columns) => {
+                return Err(ImportError::file(
+                    &states_path,
+                    format!("has {} columns; known are 4 (time, x, y, z) and, with weight, 5", columns + 1),
+                ));
+            }
+            _ => {
+                return Err(ImportError::file(
+                    &sensor_path,
+                    format!(
+                        "has {} columns; known are 16 and 31: time and three axes of 5 or 10 magnetometers",
+                        channels + 1
+                    ),
+                ));
+            }
+        };
+        let baselines = read_baselines(run_dir, &sensor)?;
+
+        let mut labels = Vec::with_capacity(sensor.len());
+        let mut worst: f64 = 0.0;
+        for (index, row) in sensor.iter().enumerate() {
+            let (state, distance) = nearest(&states, row.time);
+            if distance > WORST {
+                return Err(ImportError::Value {
+                    path: sensor_path,
+                    at: format!("row {}", index + 1),
+                    problem: format!(
+                        "the nearest robot state in states.csv is {distance:.3} s away: the files don't belong together"
+                    ),
+                });
+            }
+            worst = worst.max(distance);
+            labels.push(state);
         }
-        worst = worst.max(distance);
-        labels.push(state);
+        Ok(Self { kind, sensor, states, labels, worst, baselines })
     }
 
-    let starts = stretches(baselines.as_deref(), sensor.len(), kind);
-    let session = run_dir.file_name().map_or("eflesh".into(), |name| name.to_string_lossy().into_owned());
-    let start_stamp = stamp_of(sensor[0].time).unwrap_or_default();
-    let first_idle = if baselines.is_some() { IDLE_REPEATS * IDLE_STEP } else { 0 };
-    let mut target = Target::create(run_dir, out_dir, &session, skin(kind)?, start_stamp - first_idle)?;
-    let mut locations = Locations::new(&states);
-
-    for (press, &start) in starts.iter().enumerate() {
-        let end = starts.get(press + 1).copied().unwrap_or(sensor.len());
+    /// Writes the readings of one press or stroke, behind those of the untouched pad before it.
+    fn write_stroke(
+        &self,
+        press: usize,
+        rows: Range<usize>,
+        locations: &mut Locations,
+        target: &mut Target,
+        progress: &mut dyn FnMut(u64, u64),
+    ) -> Result<(), ImportError> {
+        let Self { kind, sensor, states, labels, .. } = self;
+        let (kind, start) = (*kind, rows.start);
         let stroke: Vec<&[f64]> =
-            labels[start..end].iter().map(|&state| states[state].values.as_slice()).collect();
+            labels[rows.clone()].iter().map(|&state| states[state].values.as_slice()).collect();
         let (location, repeat) = match kind {
             Kind::Spatial => locations.visit(stroke[0]),
             _ => (0, u32::try_from(press).unwrap_or(u32::MAX)),
         };
         let label = |phase, contact| Label { press: press as u64, location, repeat, phase, contact };
-        if let Some(baselines) = &baselines {
+        if let Some(baselines) = &self.baselines {
             let stamp = stamp_of(sensor[start].time).unwrap_or_default();
             for back in (1..=IDLE_REPEATS).rev() {
                 target.write(
@@ -238,7 +274,7 @@ pub fn eflesh(
             }
         }
         let contact_height = first_contact(&stroke, kind);
-        for (offset, row) in sensor[start..end].iter().enumerate() {
+        for (offset, row) in sensor[rows].iter().enumerate() {
             let state = stroke[offset];
             let (phase, contact) = match kind {
                 Kind::Spatial => {
@@ -259,10 +295,8 @@ pub fn eflesh(
                 progress(index as u64, sensor.len() as u64);
             }
         }
+        Ok(())
     }
-    progress(sensor.len() as u64, sensor.len() as u64);
-    let facts = facts(kind, baselines.is_some(), &locations, starts.len() as u64, worst);
-    target.finish(facts, run_dir)
 }
 
 fn skin(kind: Kind) -> Result<Skin, ImportError> {

@@ -29,7 +29,36 @@ impl Kind {
             Self::Hex => "hex",
         }
     }
+
+    /// Keys that a step of this kind may have.
+    fn keys(self) -> Vec<&'static str> {
+        let (own, common): (&[&str], &[&str]) = match self {
+            Self::Idle => (&["duration"], &[]),
+            Self::Presses => {
+                (&["count", "force", "depth", "forces", "depths", "incremental", "repeats"], &PROFILE)
+            }
+            Self::Grid => (&["pitch", "forces", "depths", "incremental", "repeats"], &PROFILE),
+            Self::Locations => (&["at", "forces", "depths", "incremental", "repeats"], &PROFILE),
+            Self::Slides => (&["count", "force", "length", "speed", "diameter"], &[]),
+            Self::Multi => {
+                (&["count", "contacts", "distance", "force", "depth", "forces", "depths"], &PROFILE)
+            }
+            Self::Hex => (
+                &["count", "contacts", "radius", "turn", "forces", "depths", "incremental", "repeats"],
+                &PROFILE,
+            ),
+        };
+        [own, common].concat()
+    }
+
+    /// Says that a step of this kind lacks a key.
+    fn missing(self, key: &'static str) -> impl FnOnce() -> Wrong {
+        move || (key, format!("is missing: a step of kind `{}` needs it", self.name()))
+    }
 }
+
+/// A key that is wrong, and why.
+type Wrong = (&'static str, String);
 
 /// A number, or two of them.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -137,7 +166,7 @@ pub(super) struct StepFile {
 }
 
 /// Keys of how it is pressed, the same for every kind of press that stands still.
-const MANNER: [&str; 9] =
+const PROFILE: [&str; 9] =
     ["diameter", "shear", "shear_direction", "load", "hold", "unload", "gap", "least_force", "most_force"];
 
 impl StepFile {
@@ -205,120 +234,122 @@ impl StepFile {
     }
 
     /// The step that this says, or the key that is wrong and why.
-    pub(super) fn step(self) -> Result<Step, (&'static str, String)> {
-        let kind = self.kind;
-        let (own, common): (&[&str], &[&str]) = match kind {
-            Kind::Idle => (&["duration"], &[]),
-            Kind::Presses => {
-                (&["count", "force", "depth", "forces", "depths", "incremental", "repeats"], &MANNER)
-            }
-            Kind::Grid => (&["pitch", "forces", "depths", "incremental", "repeats"], &MANNER),
-            Kind::Locations => (&["at", "forces", "depths", "incremental", "repeats"], &MANNER),
-            Kind::Slides => (&["count", "force", "length", "speed", "diameter"], &[]),
-            Kind::Multi => {
-                (&["count", "contacts", "distance", "force", "depth", "forces", "depths"], &MANNER)
-            }
-            Kind::Hex => (
-                &["count", "contacts", "radius", "turn", "forces", "depths", "incremental", "repeats"],
-                &MANNER,
-            ),
-        };
-        let known = [own, common].concat();
+    pub(super) fn step(mut self) -> Result<Step, Wrong> {
+        let known = self.kind.keys();
         if let Some(key) = self.keys().into_iter().find(|key| !known.contains(key)) {
-            let reason =
-                format!("is no key of a step of kind `{}`, which has {}", kind.name(), known.join(", "));
-            return Err((key, reason));
+            let (kind, known) = (self.kind.name(), known.join(", "));
+            return Err((key, format!("is no key of a step of kind `{kind}`, which has {known}")));
         }
-        let missing = |key| move || (key, format!("is missing: a step of kind `{}` needs it", kind.name()));
-        let level = |force: Option<_>, depth: Option<_>| match (force, depth) {
+        Ok(Step { action: self.action()?, profile: self.profile()? })
+    }
+
+    /// What is done.
+    fn action(&mut self) -> Result<Action, Wrong> {
+        let kind = self.kind;
+        Ok(match kind {
+            Kind::Idle => Action::Idle { duration: self.duration.ok_or_else(kind.missing("duration"))? },
+            Kind::Presses => self.presses()?,
+            Kind::Grid => Action::Grid {
+                pitch: self.pitch.ok_or_else(kind.missing("pitch"))?.both(),
+                levels: self.levels()?,
+            },
+            Kind::Locations => Action::Locations {
+                at: self.at.take().ok_or_else(kind.missing("at"))?,
+                levels: self.levels()?,
+            },
+            Kind::Slides => Action::Slides {
+                count: self.count.ok_or_else(kind.missing("count"))?,
+                force: self.force.ok_or_else(kind.missing("force"))?,
+                length: self.length.ok_or_else(kind.missing("length"))?,
+                speed: self.speed.ok_or_else(kind.missing("speed"))?,
+            },
+            Kind::Multi => Action::Multi {
+                count: self.count.ok_or_else(kind.missing("count"))?,
+                contacts: self.contacts.ok_or_else(kind.missing("contacts"))?,
+                distance: match self.distance.ok_or_else(kind.missing("distance"))? {
+                    OneOrTwo::One(least) => [least, f64::INFINITY],
+                    OneOrTwo::Two(range) => range,
+                },
+                level: self.drawn()?,
+            },
+            Kind::Hex => Action::Hex {
+                count: self.count.ok_or_else(kind.missing("count"))?,
+                contacts: self.contacts.ok_or_else(kind.missing("contacts"))?,
+                radius: self.radius.ok_or_else(kind.missing("radius"))?.both(),
+                turn: self.turn.map_or([0.0; 2], OneOrTwo::both),
+                levels: self.levels()?,
+            },
+        })
+    }
+
+    /// Single presses: to levels of a range, or to each that is listed.
+    fn presses(&mut self) -> Result<Action, Wrong> {
+        let listed = self.forces.is_some() || self.depths.is_some();
+        if listed && (self.force.is_some() || self.depth.is_some()) {
+            let reason = "names levels: leave out the range `force` or `depth` beside it";
+            return Err((if self.forces.is_some() { "forces" } else { "depths" }, reason.to_owned()));
+        }
+        if !listed && self.incremental.is_some() {
+            return Err(("incremental", "goes with `forces` or `depths`: name the levels".to_owned()));
+        }
+        let count = self.count.ok_or_else(self.kind.missing("count"))?;
+        Ok(if listed {
+            Action::Levels { count, levels: self.levels()? }
+        } else {
+            Action::Presses { count, level: self.range()?, repeats: self.repeats.unwrap_or(1) }
+        })
+    }
+
+    /// The range that levels are drawn from.
+    fn range(&self) -> Result<Level<[f64; 2]>, Wrong> {
+        match (self.force, self.depth) {
             (Some(force), None) => Ok(Level::Force(force)),
             (None, Some(depth)) => Ok(Level::Depth(depth)),
             (Some(_), Some(_)) => Err(("depth", "stands beside `force`: name one of them".to_owned())),
             (None, None) => {
-                Err(("force", format!("is missing: a step of kind `{}` needs it, or `depth`", kind.name())))
+                let kind = self.kind.name();
+                Err(("force", format!("is missing: a step of kind `{kind}` needs it, or `depth`")))
+            }
+        }
+    }
+
+    /// The levels that are listed.
+    fn levels(&mut self) -> Result<Levels, Wrong> {
+        let values = match (self.forces.take(), self.depths.take()) {
+            (Some(forces), None) => Level::Force(forces),
+            (None, Some(depths)) => Level::Depth(depths),
+            (Some(_), Some(_)) => {
+                return Err(("depths", "stands beside `forces`: name one of them".to_owned()));
+            }
+            (None, None) => {
+                let kind = self.kind.name();
+                let reason = format!("is missing: a step of kind `{kind}` needs it, or `depths`");
+                return Err(("forces", reason));
             }
         };
-        let repeats = self.repeats.unwrap_or(1);
-        let levels = |forces, depths, incremental: Option<bool>| {
-            let values = match (forces, depths) {
-                (Some(forces), None) => Level::Force(forces),
-                (None, Some(depths)) => Level::Depth(depths),
-                (Some(_), Some(_)) => {
-                    return Err(("depths", "stands beside `forces`: name one of them".to_owned()));
-                }
-                (None, None) => {
-                    let reason =
-                        format!("is missing: a step of kind `{}` needs it, or `depths`", kind.name());
-                    return Err(("forces", reason));
-                }
-            };
-            Ok(Levels { values, incremental: incremental.unwrap_or(false), repeats })
-        };
-        let action = match kind {
-            Kind::Idle => Action::Idle { duration: self.duration.ok_or_else(missing("duration"))? },
-            Kind::Presses if self.forces.is_some() || self.depths.is_some() => {
-                if self.force.is_some() || self.depth.is_some() {
-                    let listed = "names levels: leave out the range `force` or `depth` beside it";
-                    return Err((if self.forces.is_some() { "forces" } else { "depths" }, listed.to_owned()));
-                }
-                Action::Levels {
-                    count: self.count.ok_or_else(missing("count"))?,
-                    levels: levels(self.forces, self.depths, self.incremental)?,
-                }
-            }
-            Kind::Presses if self.incremental.is_some() => {
-                return Err(("incremental", "goes with `forces` or `depths`: name the levels".to_owned()));
-            }
-            Kind::Presses => Action::Presses {
-                count: self.count.ok_or_else(missing("count"))?,
-                level: level(self.force, self.depth)?,
-                repeats,
-            },
-            Kind::Grid => Action::Grid {
-                pitch: self.pitch.ok_or_else(missing("pitch"))?.both(),
-                levels: levels(self.forces, self.depths, self.incremental)?,
-            },
-            Kind::Locations => Action::Locations {
-                at: self.at.ok_or_else(missing("at"))?,
-                levels: levels(self.forces, self.depths, self.incremental)?,
-            },
-            Kind::Slides => Action::Slides {
-                count: self.count.ok_or_else(missing("count"))?,
-                force: self.force.ok_or_else(missing("force"))?,
-                length: self.length.ok_or_else(missing("length"))?,
-                speed: self.speed.ok_or_else(missing("speed"))?,
-            },
-            Kind::Multi => Action::Multi {
-                count: self.count.ok_or_else(missing("count"))?,
-                contacts: self.contacts.ok_or_else(missing("contacts"))?,
-                distance: match self.distance.ok_or_else(missing("distance"))? {
-                    OneOrTwo::One(least) => [least, f64::INFINITY],
-                    OneOrTwo::Two(range) => range,
-                },
-                level: match (self.forces, self.depths) {
-                    (None, None) => level(self.force, self.depth)?.map(|range| Drawn::Within(*range)),
-                    _ if self.force.is_some() || self.depth.is_some() => {
-                        let listed = "names one of some: leave out the range `force` or `depth` beside it";
-                        return Err(("forces", listed.to_owned()));
-                    }
-                    (forces, depths) => {
-                        levels(forces, depths, None)?.values.map(|listed| Drawn::OneOf(listed.clone()))
-                    }
-                },
-            },
-            Kind::Hex => Action::Hex {
-                count: self.count.ok_or_else(missing("count"))?,
-                contacts: self.contacts.ok_or_else(missing("contacts"))?,
-                radius: self.radius.ok_or_else(missing("radius"))?.both(),
-                turn: self.turn.map_or([0.0; 2], OneOrTwo::both),
-                levels: levels(self.forces, self.depths, self.incremental)?,
-            },
-        };
+        let (incremental, repeats) = (self.incremental.unwrap_or(false), self.repeats.unwrap_or(1));
+        Ok(Levels { values, incremental, repeats })
+    }
+
+    /// What the levels of several contacts at once are drawn from.
+    fn drawn(&mut self) -> Result<Level<Drawn>, Wrong> {
+        if self.forces.is_none() && self.depths.is_none() {
+            return Ok(self.range()?.map(|range| Drawn::Within(*range)));
+        }
+        if self.force.is_some() || self.depth.is_some() {
+            let reason = "names one of some: leave out the range `force` or `depth` beside it";
+            return Err(("forces", reason.to_owned()));
+        }
+        Ok(self.levels()?.values.map(|listed| Drawn::OneOf(listed.clone())))
+    }
+
+    /// How it is pressed.
+    fn profile(self) -> Result<PressProfile, Wrong> {
         let diameter = self.diameter.map(OneOrMore::all);
         if diameter.as_ref().is_some_and(Vec::is_empty) {
             return Err(("diameter", "is empty: a tip has a diameter".to_owned()));
         }
-        let profile = PressProfile {
+        Ok(PressProfile {
             diameter: diameter.unwrap_or_default(),
             shear: self.shear.map(OneOrTwo::both),
             shear_direction: self.shear_direction,
@@ -328,8 +359,7 @@ impl StepFile {
             gap: self.gap,
             least_force: self.least_force,
             most_force: self.most_force,
-        };
-        Ok(Step { action, profile })
+        })
     }
 }
 

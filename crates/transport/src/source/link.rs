@@ -140,6 +140,29 @@ impl Link {
         &self.description
     }
 
+    /// How long to wait for the line at most; why the link is down, where it is.
+    fn patience(
+        &self,
+        reader: &Reader,
+        opener: &mut Opener,
+        until: Option<Instant>,
+    ) -> Result<Option<Duration>, String> {
+        let mut left = self.idle.map(|idle| idle.saturating_sub(self.last.elapsed()));
+        if let (Some(idle), Some(Duration::ZERO)) = (self.idle, left) {
+            return Err(format!("{} is silent for {idle:?}", self.name));
+        }
+        match opener.newcomer(self.last, &self.name, &reader.queue) {
+            Decision::Nothing => {}
+            Decision::In(time) => left = Some(left.map_or(time, |left| left.min(time))),
+            Decision::Replace(reason) => return Err(reason),
+        }
+        if let Some(until) = until {
+            let wait = until.saturating_duration_since(Instant::now());
+            left = Some(left.map_or(wait, |left| left.min(wait)));
+        }
+        Ok(if self.wire.holds() { Some(Duration::ZERO) } else { left })
+    }
+
     /// Waits for bytes and reads them. Where a time is named, it waits once and not beyond it: what the wait brought may be an event
     /// that is in the queue now.
     pub(super) fn read(
@@ -155,22 +178,10 @@ impl Link {
                 return ReadOutcome::Nothing;
             }
             waited = true;
-            let mut left = self.idle.map(|idle| idle.saturating_sub(self.last.elapsed()));
-            if let (Some(idle), Some(Duration::ZERO)) = (self.idle, left) {
-                return ReadOutcome::Down(format!("{} is silent for {idle:?}", self.name));
-            }
-            match opener.newcomer(self.last, &self.name, &reader.queue) {
-                Decision::Nothing => {}
-                Decision::In(time) => left = Some(left.map_or(time, |left| left.min(time))),
-                Decision::Replace(reason) => return ReadOutcome::Down(reason),
-            }
-            if let Some(until) = until {
-                let wait = until.saturating_duration_since(Instant::now());
-                left = Some(left.map_or(wait, |left| left.min(wait)));
-            }
-            if self.wire.holds() {
-                left = Some(Duration::ZERO);
-            }
+            let left = match self.patience(reader, opener, until) {
+                Ok(left) => left,
+                Err(reason) => return ReadOutcome::Down(reason),
+            };
             let (readable, writable, caller) = {
                 let writing = if reader.outbox.is_empty() { PollFlags::empty() } else { PollFlags::POLLOUT };
                 let mut fds = vec![

@@ -247,7 +247,7 @@ pub const EFFECTS: &[EffectInfo] = &[
     },
     EffectInfo {
         name: "zero-drift",
-        what: "Zeros walk: glue relaxes, moisture comes and goes.",
+        what: "Zeros drift randomly: glue relaxes, moisture comes and goes.",
         source: "random walk; 5 to 20 microstrain in an hour",
         parameters: &[ParameterInfo::new(
             "rate",

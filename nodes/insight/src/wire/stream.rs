@@ -37,7 +37,7 @@ mod marker {
 
 /// How far into a picture its markers have been followed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Walk {
+enum Progress {
     /// A marker is due at this byte.
     Marker(usize),
     /// Compressed data go on at this byte.
@@ -50,7 +50,7 @@ pub struct StreamReader {
     pictures: Pictures,
     buffer: Vec<u8>,
     /// Where the buffer begins with a picture.
-    walk: Option<Walk>,
+    progress: Option<Progress>,
     /// Bytes skipped since the last picture.
     between: usize,
 }
@@ -59,7 +59,7 @@ impl StreamReader {
     /// For pictures that `observer` makes a frame's numbers of.
     #[must_use]
     pub fn new(observer: Arc<Observer>) -> Self {
-        Self { pictures: Pictures::new(observer), buffer: Vec::new(), walk: None, between: 0 }
+        Self { pictures: Pictures::new(observer), buffer: Vec::new(), progress: None, between: 0 }
     }
 
     /// Passes over what is before the next picture; breaks where that has not come yet.
@@ -79,26 +79,26 @@ impl StreamReader {
             return ControlFlow::Break(());
         }
         self.between = 0;
-        self.walk = Some(Walk::Marker(2));
+        self.progress = Some(Progress::Marker(2));
         ControlFlow::Continue(())
     }
 
     /// Follows the markers of the picture that the buffer begins with: its length, or `None` where its end has not come yet.
-    fn follow(&mut self, walk: Walk) -> Result<Option<usize>, &'static str> {
-        let mut now = walk;
+    fn follow(&mut self, from: Progress) -> Result<Option<usize>, &'static str> {
+        let mut now = from;
         loop {
-            self.walk = Some(now);
+            self.progress = Some(now);
             now = match now {
-                Walk::Marker(at) => {
+                Progress::Marker(at) => {
                     let Some([begin, kind]) = self.buffer.get(at..).and_then(|rest| rest.first_chunk())
                     else {
                         return Ok(None);
                     };
                     match (*begin, *kind) {
-                        (0xff, marker::FILL) => Walk::Marker(at + 1),
+                        (0xff, marker::FILL) => Progress::Marker(at + 1),
                         (0xff, marker::END) => return Ok(Some(at + 2)),
                         (0xff, marker::BEGIN) => return Err("begins again before it has ended"),
-                        (0xff, kind) if marker::RESTARTS.contains(&kind) => Walk::Marker(at + 2),
+                        (0xff, kind) if marker::RESTARTS.contains(&kind) => Progress::Marker(at + 2),
                         (0xff, kind) => {
                             let Some(length) = self.buffer.get(at + 2..).and_then(|rest| rest.first_chunk())
                             else {
@@ -108,25 +108,25 @@ impl StreamReader {
                             if next < at + 4 {
                                 return Err("has a segment that is shorter than its own length");
                             }
-                            if kind == marker::SCAN { Walk::Data(next) } else { Walk::Marker(next) }
+                            if kind == marker::SCAN { Progress::Data(next) } else { Progress::Marker(next) }
                         }
                         _ => return Err("has something else where a marker is due"),
                     }
                 }
-                Walk::Data(at) => {
+                Progress::Data(at) => {
                     let Some(found) = self.buffer.get(at..).and_then(|rest| memchr(0xff, rest)) else {
                         // A scan's head may reach beyond what has come.
-                        self.walk = Some(Walk::Data(at.max(self.buffer.len())));
+                        self.progress = Some(Progress::Data(at.max(self.buffer.len())));
                         return Ok(None);
                     };
                     match self.buffer.get(at + found + 1) {
                         None => {
-                            self.walk = Some(Walk::Data(at + found));
+                            self.progress = Some(Progress::Data(at + found));
                             return Ok(None);
                         }
-                        Some(&marker::STUFFED) => Walk::Data(at + found + 2),
-                        Some(kind) if marker::RESTARTS.contains(kind) => Walk::Data(at + found + 2),
-                        Some(_) => Walk::Marker(at + found),
+                        Some(&marker::STUFFED) => Progress::Data(at + found + 2),
+                        Some(kind) if marker::RESTARTS.contains(kind) => Progress::Data(at + found + 2),
+                        Some(_) => Progress::Marker(at + found),
                     }
                 }
             };
@@ -137,7 +137,7 @@ impl StreamReader {
     fn give_up(&mut self, reason: &str) {
         self.pictures.stats.reject(Rejection::Format, || format!("a picture {reason}"));
         self.buffer.drain(..2);
-        self.walk = None;
+        self.progress = None;
     }
 }
 
@@ -146,17 +146,17 @@ impl Decoder for StreamReader {
         self.pictures.stats.take_in(bytes);
         self.buffer.extend_from_slice(bytes);
         loop {
-            let Some(walk) = self.walk else {
+            let Some(progress) = self.progress else {
                 match self.seek() {
                     ControlFlow::Continue(()) => continue,
                     ControlFlow::Break(()) => return,
                 }
             };
             let most = self.pictures.most();
-            match self.follow(walk) {
+            match self.follow(progress) {
                 Ok(Some(end)) if end <= most => {
                     let jpeg: Vec<u8> = self.buffer.drain(..end).collect();
-                    self.walk = None;
+                    self.progress = None;
                     out.extend(self.pictures.frame(&jpeg, received_ns, self.buffer.len()));
                 }
                 Ok(None) if self.buffer.len() <= most => return,
@@ -168,7 +168,7 @@ impl Decoder for StreamReader {
 
     fn gap(&mut self) {
         self.buffer.clear();
-        self.walk = None;
+        self.progress = None;
         self.between = 0;
     }
 
