@@ -104,43 +104,48 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
             }
         } else {
             command.arg(text);
-            if matches!(name, Name::Limb | Name::Thumb) {
-                command.arg("--programs").arg(&programs);
-            }
-            if matches!(name, Name::Model | Name::Fusion) {
-                command.arg("--peer-python").arg(&clients);
-            }
-            if name == Name::Ert {
-                match environment::pyeit(root) {
-                    Ok(python) => _ = command.arg("--peer-python").arg(python),
-                    Err(why) => eprintln!("scipy and pyEIT are left out, they cannot be installed: {why:#}"),
-                }
-            }
-            if name == Name::Insight {
-                if let Some(data) = std::env::var_os("DERMIS_DATA") {
-                    command.arg("--frames").arg(Path::new(&data).join("insight_frames"));
-                }
-                match environment::taxim(root) {
-                    Ok(python) => _ = command.arg("--peer-python").arg(python),
-                    Err(why) => eprintln!("Taxim is left out, it cannot be installed: {why:#}"),
-                }
-            }
-            if name == Name::Shell {
-                if let Some(why) = environment::calculix() {
-                    eprintln!("{why}");
-                }
-                match environment::cholmod(root)? {
-                    Some(python) => _ = command.arg("--peer-python").arg(python),
-                    None => eprintln!(
-                        "CHOLMOD is left out: apt-get install libsuitesparse-dev libopenblas0-pthread"
-                    ),
-                }
-            }
+            peers(root, name, &programs, &clients, &mut command)?;
         }
         // Without the telemetry of ONNX Runtime in the peers.
         command.current_dir(root).env("DERMIS_BIN", &programs).env("ORT_DISABLE_TELEMETRY", "1");
         command.arg("--out").arg(results.join(format!("{text}.json")));
         execute(command.args(&options.arguments))?;
+    }
+    Ok(())
+}
+
+/// Where a measurement without ROS 2 finds the programs that it starts, and the peers that it measures beside; those that cannot be
+/// installed are left out, and named.
+fn peers(root: &Path, name: Name, programs: &Path, clients: &Path, command: &mut Command) -> Result<()> {
+    if matches!(name, Name::Limb | Name::Thumb) {
+        command.arg("--programs").arg(programs);
+    }
+    if matches!(name, Name::Model | Name::Fusion) {
+        command.arg("--peer-python").arg(clients);
+    }
+    if name == Name::Ert {
+        match environment::pyeit(root) {
+            Ok(python) => _ = command.arg("--peer-python").arg(python),
+            Err(why) => eprintln!("scipy and pyEIT are left out, they cannot be installed: {why:#}"),
+        }
+    }
+    if name == Name::Insight {
+        if let Some(data) = std::env::var_os("DERMIS_DATA") {
+            command.arg("--frames").arg(Path::new(&data).join("insight_frames"));
+        }
+        match environment::taxim(root) {
+            Ok(python) => _ = command.arg("--peer-python").arg(python),
+            Err(why) => eprintln!("Taxim is left out, it cannot be installed: {why:#}"),
+        }
+    }
+    if name == Name::Shell {
+        if let Some(why) = environment::calculix() {
+            eprintln!("{why}");
+        }
+        match environment::cholmod(root)? {
+            Some(python) => _ = command.arg("--peer-python").arg(python),
+            None => eprintln!("CHOLMOD is left out: apt-get install libsuitesparse-dev libopenblas0-pthread"),
+        }
     }
     Ok(())
 }

@@ -69,14 +69,7 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
     if lint {
         step("formatting", || execute(cargo(root).args(["fmt", "--all", "--check"])))?;
     }
-    step("test runner", || environment::subcommand(root, "nextest", "0.9.143"))?;
-    step("system packages", || {
-        environment::system_packages();
-        Ok(())
-    })?;
-    skipped.extend(step("CalculiX", || Ok(environment::calculix()))?);
-    skipped.extend(step("Chromium", || Ok(environment::chromium()))?);
-    let clients = step("Python clients", || environment::clients(root))?;
+    let clients = prepare(root, &mut skipped)?;
     if lint {
         step("licences and sources", || {
             advisories::tool(root)?;
@@ -92,74 +85,114 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
     } else {
         Some(step("ROS 2", || environment::ros(root))?)
     };
-    // Cargo on everything that can be built here, in the environment that it needs.
-    let on = |selection: [&'static str; 2], arguments: &[&str]| {
-        let mut c = cargo(root);
-        c.args(arguments);
-        select(&mut c, selection, ros.as_ref());
-        c
-    };
-    let everything = |arguments: &[&str]| on(WITH_ROS, arguments);
-    let with_ros_in_program = |arguments: &[&str]| on(ROS_IN_PROGRAM, arguments);
+    let built = Built { root, options, ros, clients };
     // Release, because that is what ships, and training in it takes seconds.
-    step("build", || execute(&mut everything(&BUILD)))?;
+    step("build", || execute(&mut built.everything(&BUILD)))?;
     if lint {
-        step("lints", || lints::run(&target_dir(root), &mut with_ros_in_program(&LINTED)))?;
+        step("lints", || lints::run(&target_dir(root), &mut built.with_ros_in_program(&LINTED)))?;
     }
-    let data =
-        std::env::var("DERMIS_DATA").unwrap_or_else(|_| root.join("../shared/data").display().to_string());
-    if !Path::new(&data).is_dir() {
-        skipped.push(format!("tests on recordings: {data} is missing (set DERMIS_DATA)"));
-    }
-    let release = target_dir(root).join("release");
-    // One more than there are cores: of the tests across processes, a few at a time, many wait rather than compute.
-    let threads = std::env::var("NEXTEST_TEST_THREADS").unwrap_or_else(|_| {
-        let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
-        (cores + 1).to_string()
-    });
-    let nextest = |mut c: Command, programs: &Path, which: &str| {
-        c.env("NEXTEST_TEST_THREADS", &threads).env("ORT_DISABLE_TELEMETRY", "1");
-        c.env("DERMIS_CLIENT_PYTHON", &clients).env("DERMIS_DATA", &data).env("DERMIS_BIN", programs);
-        execute(c.args(["-E", which, "--no-tests=pass"]).args(&options.filter))
-    };
-    let profile = if options.nightly {
-        "--profile=nightly"
-    } else {
-        skipped.push("the long run and the listener that hangs (--nightly)".to_owned());
-        "--profile=default"
-    };
     if options.nightly {
         // A workspace of its own, with parts of crates by the paths of their files.
         let manifest = "--manifest-path=fuzz/Cargo.toml";
         step("fuzz targets compile", || execute(cargo(root).args(["check", "--workspace", manifest])))?;
     }
-    let tests = ["nextest", "run", "--release", profile];
-    step("tests", || nextest(everything(&tests), &release, "not binary(ros2)"))?;
-    if options.filter.is_none() {
-        step("documentation tests", || execute(&mut everything(&["test", "--release", "--doc", "--quiet"])))?;
-    }
-    // The list is of the build above: a program for tests that the filter leaves out is not built.
-    let any_with_ros = || -> Result<bool> {
-        let Some(filter) = &options.filter else { return Ok(true) };
-        let mut list =
-            everything(&["nextest", "list", "--release", "--list-type=full", "--message-format=oneline"]);
-        Ok(!output(list.args(["-E", "binary(ros2)", filter]))?.trim().is_empty())
-    };
-    if ros.is_some() && any_with_ros()? {
-        let programs = step("build with ROS 2", || {
-            build_aside(&release, &["dermis", "dermis-train"], || {
-                execute(&mut with_ros_in_program(&BUILD_ROS))
-            })
-        })?;
-        let tests = [&tests[..], &["--test=ros2"]].concat();
-        step("tests with ROS 2", || nextest(with_ros_in_program(&tests), &programs, "binary(ros2)"))?;
-    }
+    built.test(&mut skipped)?;
     if skipped.is_empty() {
         println!("all tests passed, nothing skipped");
     } else {
         println!("all tests passed; skipped: {}", skipped.join("; "));
     }
     Ok(())
+}
+
+/// Installs what tests run, and says what stays untested without it; the Python with clients.
+fn prepare(root: &Path, skipped: &mut Vec<String>) -> Result<PathBuf> {
+    step("test runner", || environment::subcommand(root, "nextest", "0.9.143"))?;
+    step("system packages", || {
+        environment::system_packages();
+        Ok(())
+    })?;
+    skipped.extend(step("CalculiX", || Ok(environment::calculix()))?);
+    skipped.extend(step("Chromium", || Ok(environment::chromium()))?);
+    step("Python clients", || environment::clients(root))
+}
+
+/// Everything that can be built here, in the environment that it needs.
+struct Built<'a> {
+    root: &'a Path,
+    options: &'a Options,
+    ros: Option<Ros>,
+    clients: PathBuf,
+}
+
+impl Built<'_> {
+    fn cargo(&self, selection: [&'static str; 2], arguments: &[&str]) -> Command {
+        let mut c = cargo(self.root);
+        c.args(arguments);
+        select(&mut c, selection, self.ros.as_ref());
+        c
+    }
+
+    fn everything(&self, arguments: &[&str]) -> Command {
+        self.cargo(WITH_ROS, arguments)
+    }
+
+    fn with_ros_in_program(&self, arguments: &[&str]) -> Command {
+        self.cargo(ROS_IN_PROGRAM, arguments)
+    }
+
+    /// Runs what was built, and what needs ROS 2 in the program after it.
+    fn test(&self, skipped: &mut Vec<String>) -> Result<()> {
+        let Self { root, options, .. } = *self;
+        let data = std::env::var("DERMIS_DATA")
+            .unwrap_or_else(|_| root.join("../shared/data").display().to_string());
+        if !Path::new(&data).is_dir() {
+            skipped.push(format!("tests on recordings: {data} is missing (set DERMIS_DATA)"));
+        }
+        let release = target_dir(root).join("release");
+        // One more than there are cores: of the tests across processes, a few at a time, many wait rather than compute.
+        let threads = std::env::var("NEXTEST_TEST_THREADS").unwrap_or_else(|_| {
+            let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+            (cores + 1).to_string()
+        });
+        let nextest = |mut c: Command, programs: &Path, which: &str| {
+            c.env("NEXTEST_TEST_THREADS", &threads).env("ORT_DISABLE_TELEMETRY", "1");
+            c.env("DERMIS_CLIENT_PYTHON", &self.clients);
+            c.env("DERMIS_DATA", &data).env("DERMIS_BIN", programs);
+            execute(c.args(["-E", which, "--no-tests=pass"]).args(&options.filter))
+        };
+        let profile = if options.nightly {
+            "--profile=nightly"
+        } else {
+            skipped.push("the long run and the listener that hangs (--nightly)".to_owned());
+            "--profile=default"
+        };
+        let tests = ["nextest", "run", "--release", profile];
+        step("tests", || nextest(self.everything(&tests), &release, "not binary(ros2)"))?;
+        if options.filter.is_none() {
+            let arguments = ["test", "--release", "--doc", "--quiet"];
+            step("documentation tests", || execute(&mut self.everything(&arguments)))?;
+        }
+        if self.ros.is_some() && self.any_with_ros()? {
+            let programs = step("build with ROS 2", || {
+                build_aside(&release, &["dermis", "dermis-train"], || {
+                    execute(&mut self.with_ros_in_program(&BUILD_ROS))
+                })
+            })?;
+            let tests = [&tests[..], &["--test=ros2"]].concat();
+            step("tests with ROS 2", || {
+                nextest(self.with_ros_in_program(&tests), &programs, "binary(ros2)")
+            })?;
+        }
+        Ok(())
+    }
+
+    /// Whether a test that needs ROS 2 in the program is among those to be run. The list is of what was built without it.
+    fn any_with_ros(&self) -> Result<bool> {
+        let Some(filter) = &self.options.filter else { return Ok(true) };
+        let mut list = self.everything(&["nextest", "list", "--release", "--message-format=oneline"]);
+        Ok(!output(list.args(["-E", "binary(ros2)", filter]))?.trim().is_empty())
+    }
 }
 
 /// Builds programs and puts them into a folder of their own. Those that were there stay: the program with ROS 2 in it does

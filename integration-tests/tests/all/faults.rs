@@ -570,6 +570,7 @@ fn listener() {
 
 /// A process is stopped with full queues for half a minute; it looks to the node like a peer whose machine hangs.
 #[test]
+#[expect(clippy::too_many_lines, reason = "one story, in its order")]
 fn a_listener_that_stops_reading_holds_nobody_up() {
     const STOPPED: Duration = Duration::from_secs(30);
     let bench = Bench::new();

@@ -363,6 +363,7 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
 }
 
 #[test]
+#[expect(clippy::too_many_lines, reason = "one story, in its order")]
 fn what_the_body_says_is_true_and_a_skin_that_is_killed_is_missed() {
     let folder = tempfile::tempdir().unwrap();
     let file = two_pads(folder.path(), "never");
