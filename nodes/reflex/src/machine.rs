@@ -93,13 +93,21 @@ pub struct RuleState<'a> {
     pub holds: Option<&'a str>,
 }
 
+/// What tells a message of an input from another one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Label {
+    /// \[ns\]
+    stamp: i64,
+    sequence: u64,
+}
+
 /// What is known of an input.
 #[derive(Default)]
 struct InputState {
     /// When the latest new message arrived.
     heard: Option<Duration>,
-    /// Stamp and number of that message.
-    latest: Option<(i64, u64)>,
+    /// What that message is called.
+    latest: Option<Label>,
     /// Why what came last does not count as heard.
     refused: Option<String>,
     slides: Slides,
@@ -183,7 +191,10 @@ impl Reflex {
 
     /// A message of one skin came on an input at `now`, `age` \[ns\] after its stamp.
     pub fn skin(&mut self, input: usize, message: &ContactArray, now: Duration, age: i64) -> Done {
-        let now = self.hear(input, now, age, message.header.stamp.as_nanos(), message.sequence);
+        // A node that is blind says so again and again, with the number of the last frame that it read.
+        let numbered = matches!(message.status, ContactArray::STATUS_OK | ContactArray::STATUS_DEGRADED);
+        let label = Label { stamp: message.header.stamp.as_nanos(), sequence: message.sequence };
+        let now = self.hear(input, now, age, label, numbered);
         if let Some(state) = self.inputs.get_mut(input) {
             state.slides.take(message);
         }
@@ -198,7 +209,8 @@ impl Reflex {
 
     /// A message of the fusion came on an input at `now`, `age` \[ns\] after its stamp.
     pub fn body(&mut self, input: usize, message: &BodyContacts, now: Duration, age: i64) -> Done {
-        let now = self.hear(input, now, age, message.header.stamp.as_nanos(), message.sequence);
+        let label = Label { stamp: message.header.stamp.as_nanos(), sequence: message.sequence };
+        let now = self.hear(input, now, age, label, true);
         for (rule, memory) in self.rules.rules.iter().zip(&mut self.memory) {
             if let Some(slot) = rule.inputs.iter().position(|i| *i == input) {
                 memory.latest[slot] = assess::body(&self.rules, rule, message);
@@ -310,12 +322,15 @@ impl Reflex {
         self.now
     }
 
-    fn hear(&mut self, input: usize, now: Duration, age: i64, stamp: i64, sequence: u64) -> Duration {
+    /// Notes that a message came; one that is `numbered` is news only with a number of its own, whatever its stamp: a node that has
+    /// stopped reading may go on stamping.
+    fn hear(&mut self, input: usize, now: Duration, age: i64, label: Label, numbered: bool) -> Duration {
         let now = self.forward(now);
         let (Some(state), Some(rules)) = (self.inputs.get_mut(input), self.rules.inputs.get(input)) else {
             return now;
         };
-        let repeated = state.latest == Some((stamp, sequence));
+        let repeated =
+            state.latest.is_some_and(|last| last == label || (numbered && last.sequence == label.sequence));
         let largest = rules.max_age.map(|age| i64::try_from(age.as_nanos()).unwrap_or(i64::MAX));
         // A stamp from the future is as wrong as an old one.
         let old = largest.is_some_and(|largest| age > largest || age < -largest);
@@ -328,7 +343,7 @@ impl Reflex {
             state.heard = Some(now);
             state.refused = None;
         }
-        state.latest = Some((stamp, sequence));
+        state.latest = Some(label);
         now
     }
 

@@ -221,6 +221,29 @@ fn messages_that_repeat_themselves_or_are_old_are_no_news() {
     let text = "rule `r` acts: input `palm` brought nothing new for 0.02 s: its messages repeat themselves";
     assert!(rig.events.iter().any(|event| event == text), "{:?}", rig.events);
 
+    // With new stamps: its node reads nothing, and goes on stamping.
+    let mut rig = Rig::new("clear", FORCE);
+    rig.quietly(300 * MS);
+    let number = rig.sequence;
+    for _ in 0..30 {
+        let message = ContactArray { sequence: number, ..rig.message("palm", 0, &[]) };
+        let done = rig.reflex.skin(PALM, &message, rig.now, 0);
+        rig.note(&done);
+        rig.wait(MS);
+    }
+    assert!(rig.events.iter().any(|event| event == text), "{:?}", rig.events);
+    // One that is blind has no other number to give, and says why it is blind.
+    let mut rig = Rig::new("clear", FORCE);
+    rig.quietly(300 * MS);
+    let number = rig.sequence;
+    for _ in 0..30 {
+        let stale = rig.message("palm", ContactArray::STATUS_STALE, &[]);
+        let done = rig.reflex.skin(PALM, &ContactArray { sequence: number, ..stale }, rig.now, 0);
+        rig.note(&done);
+        rig.wait(MS);
+    }
+    assert!(rig.acts() && !rig.events.iter().any(|event| event == text), "{:?}", rig.events);
+
     for age in [11_000_000, -11_000_000] {
         let mut rig = Rig::new("clear", FORCE);
         rig.quietly(300 * MS);
