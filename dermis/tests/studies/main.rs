@@ -4,6 +4,7 @@
 
 mod bounds;
 mod protocols;
+mod real2sim;
 mod schemas;
 mod shipped;
 mod sweep;
