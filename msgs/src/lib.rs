@@ -67,6 +67,7 @@ mod json;
 mod layout;
 pub mod sequence;
 mod skin;
+mod status;
 mod support;
 mod time;
 mod truth;

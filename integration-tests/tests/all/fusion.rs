@@ -444,10 +444,10 @@ fn what_the_body_says_is_true_and_a_skin_that_is_killed_is_missed() {
     let restarted = Instant::now();
     let _skin = palm();
     wait_for("the palm's node feels", || {
-        reports.lock().unwrap().iter().any(|m| feels(m.status)).then_some(())
+        reports.lock().unwrap().iter().any(|m| ContactArray::feels(m.status)).then_some(())
     });
     let node_feels = Instant::now();
-    wait_for("the body feels the palm", || last().is_some_and(feels).then_some(()));
+    wait_for("the body feels the palm", || last().is_some_and(ContactArray::feels).then_some(()));
     let body_feels = node_feels.elapsed();
     println!(
         "after its restart the node feels within {:.2} s, the body {:.3} s later",
@@ -462,11 +462,6 @@ fn what_the_body_says_is_true_and_a_skin_that_is_killed_is_missed() {
     kill(child_of(&launch, " fusion "), "-KILL");
     wait_for("the reflexes act", || unheard.lock().unwrap().last().filter(|m| m.data).map(|_| ()));
     drop(launch);
-}
-
-/// Whether a skin with this status says what touches it.
-fn feels(status: u8) -> bool {
-    status == ContactArray::STATUS_OK || status == ContactArray::STATUS_DEGRADED
 }
 
 /// The process of a launch whose command line has this text.
@@ -488,11 +483,9 @@ fn who_is_killed_at_a_random_time_is_back() {
     isolate(command.current_dir(root()));
     let launch = Peer::start(command.arg("launch").arg(&file));
     let back_feels = |since: i64| {
-        body.lock()
-            .unwrap()
-            .iter()
-            .flat_map(|m| &m.skins)
-            .any(|skin| skin.skin == "back" && feels(skin.status) && skin.stamp.as_nanos() > since)
+        body.lock().unwrap().iter().flat_map(|m| &m.skins).any(|skin| {
+            skin.skin == "back" && ContactArray::feels(skin.status) && skin.stamp.as_nanos() > since
+        })
     };
     wait_for("the back feels", || back_feels(0).then_some(()));
     let mut rng = ChaCha8Rng::seed_from_u64(20);

@@ -55,13 +55,8 @@ impl Health {
     /// Whether its contacts count.
     #[must_use]
     pub fn feels(&self) -> bool {
-        feels(self.status)
+        ContactArray::feels(self.status)
     }
-}
-
-/// Whether a skin with this status, or all skins of which it is the worst, can say what touches.
-pub(crate) fn feels(status: u8) -> bool {
-    matches!(status, ContactArray::STATUS_OK | ContactArray::STATUS_DEGRADED)
 }
 
 /// What to do with a report.
@@ -156,7 +151,7 @@ impl Intake {
         if let Some((why, status)) = self.wrong(report, now, s) {
             return self.refuse(why, now, status);
         }
-        if !feels(report.status) {
+        if !ContactArray::feels(report.status) {
             self.said = Some((report.status, report.status_text.clone(), now));
             return Verdict::Blind;
         }
@@ -267,7 +262,7 @@ impl Intake {
                 -age
             ));
         }
-        if age > s.oldest && feels(report.status) {
+        if age > s.oldest && ContactArray::feels(report.status) {
             return fault(format!(
                 "skin `{name}`: its frames are {age:.2} s old when they come; synchronise the clocks, or find what delays them"
             ));
@@ -341,7 +336,7 @@ impl Intake {
             return (ContactArray::STATUS_FAULT, text);
         }
         let said = self.said.as_ref().filter(|(_, _, at)| recent(*at, self.timeout));
-        if let Some((status, text, _)) = said.filter(|(status, ..)| !feels(*status)) {
+        if let Some((status, text, _)) = said.filter(|(status, ..)| !ContactArray::feels(*status)) {
             return (*status, self.sentence(text));
         }
         let silence = self.accepted.map(|a| seconds(a.came, now));

@@ -3,7 +3,7 @@
 use dermis_body::{Robot, Wrench};
 use dermis_msgs::builtin_interfaces::msg::{Duration, Time};
 use dermis_msgs::geometry_msgs::msg::{TransformStamped, Wrench as WrenchMsg, WrenchStamped};
-use dermis_msgs::msg::{BodyContact, BodyContacts, LinkWrench, SkinHealth};
+use dermis_msgs::msg::{BodyContact, BodyContacts, ContactArray, LinkWrench, SkinHealth};
 use dermis_msgs::sensor_msgs::msg::{JointState, PointCloud2};
 use dermis_msgs::std_msgs::msg::Header;
 use dermis_msgs::tf2_msgs::msg::TFMessage;
@@ -15,7 +15,6 @@ use nalgebra::{Isometry3, Matrix3};
 
 use crate::cause::Cause;
 use crate::fuser::BodyState;
-use crate::intake::feels;
 use crate::slip::Slip;
 use crate::torque::Torques;
 use crate::touch::{BodyTouch, LinkLoad};
@@ -118,12 +117,13 @@ fn link_wrench(robot: &Robot, load: &LinkLoad) -> LinkWrench {
 #[must_use]
 pub fn wrench_of_link(robot: &Robot, stamp: Stamp, load: &LinkLoad) -> Option<WrenchStamped> {
     let header = || Header::new(stamp, robot.body.links()[load.link].as_str());
-    feels(load.status).then(|| WrenchStamped { header: header(), wrench: wrench(&load.wrench) })
+    ContactArray::feels(load.status).then(|| WrenchStamped { header: header(), wrench: wrench(&load.wrench) })
 }
 
 /// Whether sums over the body hold what every skin feels. Messages of sums have no status, and must not say "no touch" where nobody knows.
 fn is_whole(state: &BodyState) -> bool {
-    feels(state.status) && state.net.force.iter().chain(state.net.torque.iter()).all(|v| v.is_finite())
+    ContactArray::feels(state.status)
+        && state.net.force.iter().chain(state.net.torque.iter()).all(|v| v.is_finite())
 }
 
 fn is_placed(touch: &BodyTouch) -> bool {
@@ -169,14 +169,14 @@ fn in_body(state: &BodyState) -> Vec<Contact> {
 #[must_use]
 pub fn points(robot: &Robot, state: &BodyState) -> Option<PointCloud2> {
     let contacts = in_body(state);
-    let all = feels(state.status) && contacts.len() == state.contacts.len();
+    let all = ContactArray::feels(state.status) && contacts.len() == state.contacts.len();
     (all || !contacts.is_empty()).then(|| points_in(header(robot, state.stamp), &contacts))
 }
 
 /// One arrow a contact that has a place on the body; it vanishes by itself after `lifetime` \[s\].
 #[must_use]
 pub fn markers(robot: &Robot, state: &BodyState, lifetime: f64) -> MarkerArray {
-    let degraded = state.status != dermis_msgs::msg::ContactArray::STATUS_OK;
+    let degraded = state.status != ContactArray::STATUS_OK;
     markers_in(&header(robot, state.stamp), MARKERS, &in_body(state), degraded, lifetime)
 }
 
@@ -227,7 +227,6 @@ pub fn moving_transforms(robot: &Robot, stamp: Stamp, positions: &[f64]) -> TFMe
 
 #[cfg(test)]
 mod tests {
-    use dermis_msgs::msg::ContactArray;
 
     use super::*;
     use crate::settings::Settings;

@@ -192,7 +192,7 @@ impl Reflex {
     /// A message of one skin came on an input at `now`, `age` \[ns\] after its stamp.
     pub fn skin(&mut self, input: usize, message: &ContactArray, now: Duration, age: i64) -> Done {
         // A node that is blind says so again and again, with the number of the last frame that it read.
-        let numbered = matches!(message.status, ContactArray::STATUS_OK | ContactArray::STATUS_DEGRADED);
+        let numbered = ContactArray::feels(message.status);
         let label = Label { stamp: message.header.stamp.as_nanos(), sequence: message.sequence };
         let now = self.hear(input, now, age, label, numbered);
         if let Some(state) = self.inputs.get_mut(input) {
