@@ -1,7 +1,5 @@
 //! A pad with free sides, pushed beside its middle and near its side, and touched by spheres.
 
-use std::ops::Range;
-
 use nalgebra::{Point3, Vector3};
 
 use super::quadratic::{Quadratic, Share};
@@ -43,7 +41,11 @@ pub fn block_cases() -> Result<Vec<Case>, CalculixError> {
     let quadratic = Quadratic::new(&mesh, |middle| middle);
     let per_layer = (ALONG * ALONG) as usize;
     let top = per_layer * (LAYERS as usize - 1)..mesh.cells.len();
-    let pushed = PUSHES.iter().map(|(_, at, force)| pushed(&quadratic, &top, *at, *force));
+    let pushed = PUSHES.iter().map(|(_, [x, y], force)| {
+        let push = (Point3::new(*x, *y, 0.0), Vector3::from(*force));
+        let (forces, points) = quadratic.push(top.clone(), push, WIDTH);
+        (Load { forces, ..Load::default() }, points)
+    });
     let (loads, shares): (Vec<Load>, Vec<Vec<Share>>) = pushed.unzip();
     let sensors: Vec<usize> = SENSORS
         .iter()
@@ -99,23 +101,6 @@ pub fn block_cases() -> Result<Vec<Case>, CalculixError> {
         }
     }
     Ok(cases)
-}
-
-/// The load of a push of 1 N at (x, y) \[m\], and what of it acts at which point of the top.
-fn pushed(
-    quadratic: &Quadratic,
-    top: &Range<usize>,
-    [x, y]: [f64; 2],
-    force: [f64; 3],
-) -> (Load, Vec<Share>) {
-    let centre = Point3::new(x, y, 0.0);
-    let (forces, points) = quadratic.spread(top.clone(), |p| {
-        Vector3::from(force) * (-(p - centre).norm_squared() / (2.0 * WIDTH * WIDTH)).exp()
-    });
-    // To exactly 1 N.
-    let total: f64 = points.iter().map(|(_, f)| f.norm()).sum();
-    let forces = forces.into_iter().map(|(n, f)| (n, f / total)).collect();
-    (Load { forces, ..Load::default() }, points.into_iter().map(|(p, f)| (p, f / total)).collect())
 }
 
 /// What this crate says of each probe under forces at points: the field of a layer without end, and what its free sides change.

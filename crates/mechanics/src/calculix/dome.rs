@@ -131,13 +131,9 @@ fn pushed(quadratic: &Quadratic, outside: &Range<usize>, pushes: &[Push]) -> (Lo
     for push in pushes {
         let centre = SHAPE.point([push.arc, push.angle]);
         let force: Vector3<f64> = frame(&centre).iter().zip(push.force).map(|(v, f)| v * f).sum();
-        let (nodal, spread) = quadratic.spread(outside.clone(), |p| {
-            force * (-(p - centre).norm_squared() / (2.0 * WIDTH * WIDTH)).exp()
-        });
-        // To exactly 1 N.
-        let total = spread.iter().map(|(_, f)| f.norm()).sum::<f64>();
-        forces.extend(nodal.into_iter().map(|(n, f)| (n, f / total)));
-        points.extend(spread.into_iter().map(|(p, f)| (p, f / total)));
+        let (nodal, spread) = quadratic.push(outside.clone(), (centre, force), WIDTH);
+        forces.extend(nodal);
+        points.extend(spread);
     }
     (Load { forces, ..Load::default() }, points)
 }

@@ -88,7 +88,21 @@ impl Quadratic {
         self.spread_over(LAST_SIDE, cells, traction)
     }
 
-    /// The same over another side, by its nodes: corners, then edges, around it.
+    /// The same of a push of exactly 1 N, which falls off as a Gaussian of this width \[m\] about its middle.
+    pub fn push(
+        &self,
+        cells: impl Iterator<Item = usize>,
+        (centre, force): (Point3<f64>, Vector3<f64>),
+        width: f64,
+    ) -> (Vec<(usize, Vector3<f64>)>, Vec<Share>) {
+        let (forces, points) =
+            self.spread(cells, |p| force * (-(p - centre).norm_squared() / (2.0 * width * width)).exp());
+        let total: f64 = points.iter().map(|(_, f)| f.norm()).sum();
+        let nodal = forces.into_iter().map(|(n, f)| (n, f / total)).collect();
+        (nodal, points.into_iter().map(|(p, f)| (p, f / total)).collect())
+    }
+
+    /// The same as [`spread`](Self::spread) over another side, by its nodes: corners, then edges, around it.
     pub fn spread_over(
         &self,
         side: [usize; 8],
