@@ -139,7 +139,9 @@ impl Dataset {
         let mut runs = Vec::new();
         let mut memory = options.memory;
         for path in paths {
-            runs.extend(read_run(path.as_ref(), skin, options, &mut pressed, &mut findings, &mut memory)?);
+            let mut own = Findings::default();
+            runs.extend(read_run(path.as_ref(), skin, options, &mut pressed, &mut own, &mut memory)?);
+            findings.extend(own);
         }
         Ok(Self { skin: skin.clone(), runs, findings, map: options.map.clone() })
     }

@@ -16,23 +16,9 @@ use crate::findings::{self, Findings};
 use crate::map::{self, Locations};
 use contents::{Contents, topic_of};
 
-/// One bag, joined; `None` where it cannot be. `memory` is what is left of [`DatasetOptions::memory`].
+/// One bag, joined; `None` where it cannot be. `findings` are those of this bag alone, `memory` is what is left of
+/// [`DatasetOptions::memory`].
 pub(super) fn read_run(
-    path: &Path,
-    skin: &SkinDescription,
-    options: &DatasetOptions,
-    locations: &mut Locations,
-    findings: &mut Findings,
-    memory: &mut usize,
-) -> Result<Option<Run>, LearnError> {
-    let mut own = Findings::default();
-    let run = join(path, skin, options, locations, &mut own, memory)?;
-    findings.extend(own);
-    Ok(run)
-}
-
-/// As [`read_run`]; `findings` are those of this bag alone.
-fn join(
     path: &Path,
     skin: &SkinDescription,
     options: &DatasetOptions,

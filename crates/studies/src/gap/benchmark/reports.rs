@@ -31,8 +31,16 @@ pub(super) fn sealed(
     Ok(seals)
 }
 
-fn report(out: &Path, case: &Case) -> PathBuf {
-    out.join(format!("{}.json", case.id))
+/// The report of the case with this identity.
+pub(super) fn file(out: &Path, case: &str) -> PathBuf {
+    out.join(format!("{case}.json"))
+}
+
+/// Reads a report.
+pub(super) fn read(path: &Path) -> Result<Value> {
+    let text = dermis_io::read(path, dermis_io::REPORT)
+        .with_context(|| format!("{} cannot be read", path.display()))?;
+    serde_json::from_slice(&text).with_context(|| format!("{} is no report", path.display()))
 }
 
 /// Has every case diagnosed that has no report yet, `jobs` at once.
@@ -44,7 +52,7 @@ fn diagnose(
     diagnosis: Diagnose<'_>,
     progress: &dyn Progress,
 ) -> Result<()> {
-    let mut open: Vec<&Case> = manifest.cases.iter().filter(|case| !report(out, case).exists()).collect();
+    let mut open: Vec<&Case> = manifest.cases.iter().filter(|case| !file(out, &case.id).exists()).collect();
     // One case of all presses first: the others find its signatures, which two that run at once would both simulate.
     let mut seen = BTreeSet::new();
     open.sort_by_cached_key(|case| !seen.insert(case.presses));
@@ -53,7 +61,7 @@ fn diagnose(
     let one = |case: &Case| -> Result<()> {
         let said = diagnosis(&folder.join("skin.toml"), &folder.join(&case.bag), &options.diagnose)
             .with_context(|| case.id.clone())?;
-        let path = report(out, case);
+        let path = file(out, &case.id);
         let part = path.with_extension("part");
         std::fs::write(&part, &said).with_context(|| format!("{} cannot be written", part.display()))?;
         std::fs::rename(&part, &path).with_context(|| format!("{} cannot be made", path.display()))?;
@@ -80,7 +88,7 @@ fn diagnose(
 fn seal(manifest: &Manifest, out: &Path) -> Result<String> {
     let mut list = String::new();
     for case in &manifest.cases {
-        let path = report(out, case);
+        let path = file(out, &case.id);
         let text = dermis_io::read(&path, dermis_io::REPORT)
             .with_context(|| format!("{} cannot be read", path.display()))?;
         list.push_str(&format!("{}  {}.json\n", set::sha256(&text), case.id));
@@ -120,11 +128,7 @@ pub(super) fn opened(
     let folders = options.set.iter().zip(&options.truth).zip(seals);
     for (index, (manifest, ((folder, truths), (out, _)))) in manifests.iter().zip(folders).enumerate() {
         for case in &manifest.cases {
-            let path = report(out, case);
-            let text = dermis_io::read(&path, dermis_io::REPORT)
-                .with_context(|| format!("{} cannot be read", path.display()))?;
-            let report: Value =
-                serde_json::from_slice(&text).with_context(|| format!("{} is no report", path.display()))?;
+            let report = read(&file(out, &case.id))?;
             cases.push(Opened {
                 truth: set::open_ground_truth(truths, case)?,
                 answer: answer(&report),

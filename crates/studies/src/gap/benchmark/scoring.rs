@@ -14,7 +14,7 @@ use dermis_model::diagnosis::Evidence;
 use dermis_skin::{Effect, SkinDescription};
 use serde_json::{Value, json};
 
-use super::reports::Opened;
+use super::reports::{self, Opened};
 use super::{Diagnose, Request};
 use crate::gap::answers::answer;
 use crate::gap::baselines;
@@ -131,14 +131,12 @@ impl Scoring<'_> {
                 skin: &self.skins[case.set],
                 truth: &case.truth,
                 bag: &case.bag,
-                report: out.join(format!("{}.json", case.truth.case)),
+                report: reports::file(out, &case.truth.case),
                 folder: out.join("follow-ups").join(&case.truth.case),
             };
             let path = ask(&asking, (times, *follow_up_minutes), diagnose, self.families, diagnosis)
                 .with_context(|| case.truth.case.clone())?;
-            let text = dermis_io::read(&path, dermis_io::REPORT)
-                .with_context(|| format!("{} cannot be read", path.display()))?;
-            answers.push(answer(&serde_json::from_slice(&text)?));
+            answers.push(answer(&reports::read(&path)?));
             if !self.progress.at((n + 1) as f64 / cases.len() as f64) {
                 bail!("interrupted; call it again to go on");
             }
