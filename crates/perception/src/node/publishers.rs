@@ -82,13 +82,12 @@ impl Publishers {
 
     /// Whether somebody listens to anything that is estimated.
     pub(super) fn heard(&self) -> bool {
-        let Maps { force, displacement } = self.wanted();
+        // Contacts first: whoever listens to anything mostly listens to them.
         self.contacts.subscriber_count() > 0
             || self.wrench.subscriber_count() > 0
             || self.points.subscriber_count() > 0
             || self.markers.subscriber_count() > 0
-            || force
-            || displacement
+            || self.wanted() != Maps::NONE
     }
 
     /// Maps that somebody listens to.
