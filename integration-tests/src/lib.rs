@@ -383,6 +383,8 @@ impl Recorded {
                     "train",
                     "--config",
                     "launch/train/eflesh-position.toml",
+                    "--candidates",
+                    "network",
                     "--epochs",
                     "15",
                     "--members",

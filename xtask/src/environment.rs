@@ -115,7 +115,8 @@ pub fn subcommand(root: &Path, name: &str, version: &str) -> Result<()> {
     let package = format!("cargo-{name}@{version}");
     run(cargo(root)
         .args(["install", "--quiet", "--debug", "--locked", &package, "--root"])
-        .arg(home(root).join("tools")))
+        .arg(home(root).join("tools"))
+        .env("CARGO_PROFILE_DEV_DEBUG", "0"))
 }
 
 /// A program that is not a subcommand of cargo, where [`program`] put it, or from the path.

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use anyhow::Result;
+use anyhow::{Result, anyhow};
 use clap::Args;
 
 use crate::advisories;
@@ -69,22 +69,7 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
     if lint {
         step("formatting", || execute(cargo(root).args(["fmt", "--all", "--check"])))?;
     }
-    let clients = prepare(root, &mut skipped)?;
-    if lint {
-        step("licences and sources", || {
-            advisories::tool(root)?;
-            // Crates of every platform: cargo builds with those of this one only, and has no others.
-            execute(cargo(root).args(["fetch", "--locked", "--quiet"]))?;
-            execute(cargo(root).args(["deny", "--offline", "check", "licenses", "bans", "sources"]))
-        })?;
-        skipped.extend(step("advisories", || advisories::check(root))?);
-    }
-    let ros = if options.no_ros {
-        skipped.push("ROS 2 (--no-ros)".to_owned());
-        None
-    } else {
-        Some(step("ROS 2", || environment::ros(root))?)
-    };
+    let (clients, ros) = set_up(root, options, lint, &mut skipped)?;
     let built = Built { root, options, ros, clients };
     // Release, because that is what ships, and training in it takes seconds.
     step("build", || execute(&mut built.everything(&BUILD)))?;
@@ -103,6 +88,42 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
         println!("all tests passed; skipped: {}", skipped.join("; "));
     }
     Ok(())
+}
+
+/// Makes all that tests need besides what is built here, and checks dependencies where `lint` is asked for; the Python with clients, and
+/// ROS 2.
+fn set_up(
+    root: &Path,
+    options: &Options,
+    lint: bool,
+    skipped: &mut Vec<String>,
+) -> Result<(PathBuf, Option<Ros>)> {
+    std::thread::scope(|threads| {
+        // It is built on one core while the other unpacks what was downloaded and builds ROS 2 messages.
+        let deny = lint.then(|| threads.spawn(|| advisories::tool(root)));
+        let clients = prepare(root, skipped)?;
+        let ros = if options.no_ros {
+            skipped.push("ROS 2 (--no-ros)".to_owned());
+            None
+        } else {
+            Some(step("ROS 2", || environment::ros(root))?)
+        };
+        if let Some(deny) = deny {
+            step("licences and sources", || {
+                deny.join().map_err(|_| anyhow!("the thread that installs cargo-deny panicked"))??;
+                licences(root)
+            })?;
+            skipped.extend(step("advisories", || advisories::check(root))?);
+        }
+        Ok((clients, ros))
+    })
+}
+
+/// Checks licences and sources of all crates.
+fn licences(root: &Path) -> Result<()> {
+    // Crates of every platform: cargo builds with those of this one only, and has no others.
+    execute(cargo(root).args(["fetch", "--locked", "--quiet"]))?;
+    execute(cargo(root).args(["deny", "--offline", "check", "licenses", "bans", "sources"]))
 }
 
 /// Installs what tests run, and says what stays untested without it; the Python with clients.

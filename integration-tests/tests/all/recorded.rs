@@ -51,7 +51,8 @@ fn recorded_frames_become_contacts_over_ros() {
 
     let config = root().join("launch/train/eflesh-position.toml");
     dermis(
-        &["train", "--split", "press"],
+        // Which of several regressors is kept is tested where training is.
+        &["train", "--split", "press", "--candidates", "network"],
         &[("--config", &config), ("--skin", &skin_file), ("--out", &model), ("", &bag)],
     );
     // The authors state 0.5 mm on held-out presses.
@@ -83,7 +84,7 @@ fn a_recording_that_knows_one_component_of_the_force_is_learned() {
     let [skin, config] =
         ["launch/skins/eflesh-shear.toml", "launch/train/eflesh-shear.toml"].map(|f| root().join(f));
     let report = dermis(
-        &["train", "--epochs", "40", "--members", "1"],
+        &["train", "--candidates", "network", "--epochs", "40", "--members", "1"],
         &[("--config", &config), ("--skin", &skin), ("--out", &model), ("", &bag)],
     );
     assert!(report.contains("force.x"), "{report}");

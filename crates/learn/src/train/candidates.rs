@@ -1,5 +1,6 @@
 //! Which regressors may be the model.
 
+use clap::ValueEnum;
 use dermis_regress::Method;
 use serde::{Deserialize, Serialize};
 
@@ -13,7 +14,8 @@ use crate::LearnError;
 pub struct ModelChoice {
     /// Who is judged.
     pub candidates: Vec<Candidate>,
-    /// Rows that support vectors and Gaussian processes learn from at most; of more, every n-th is taken. Their graph grows with it.
+    /// Rows that support vectors learn from at most; of more, every n-th is taken. Their graph grows with it, and so does that of a
+    /// Gaussian process, which learns from up to 10,000 rows by a sum over `most` of them (sparse, by subset of regressors).
     pub most: usize,
     /// Folds at most.
     pub folds: usize,
@@ -32,7 +34,7 @@ impl ModelChoice {
 }
 
 /// A regressor.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Candidate {
     /// The network, or the mean of several (`network.members`).
@@ -41,9 +43,9 @@ pub enum Candidate {
     Vectors,
     /// The mean of a Gaussian process.
     Gaussian,
-    /// The mean of the answers of all other candidates, each with the same weight. Its mean square error is no larger than theirs is on
-    /// average, and often smaller than the smallest, where their errors differ (R. T. Clemen, *Combining forecasts: a review*, International
-    /// Journal of Forecasting 5, 1989).
+    /// The mean of the answers of all other candidates, each with the same weight. Its mean square error is no larger than theirs
+    /// is on average, and often smaller than the smallest, where their errors differ (R. T. Clemen, *Combining forecasts: a
+    /// review*, International Journal of Forecasting 5, 1989).
     Mean,
     /// Extremely randomised trees. Only to be compared with: see [`exports`](Self::exports).
     Trees,
@@ -72,8 +74,8 @@ impl Candidate {
         }
     }
 
-    /// Whether a bundle can hold it. Trees are an operator of their own in ONNX (`TreeEnsembleRegressor`), which the embedded runtime
-    /// does not have; neighbours sort.
+    /// Whether a bundle can hold it. Trees are an operator of their own in ONNX (`TreeEnsembleRegressor`), which the embedded
+    /// runtime does not have; neighbours sort.
     #[must_use]
     pub fn exports(self) -> bool {
         !matches!(self, Self::Trees | Self::Neighbours)

@@ -11,6 +11,7 @@ use dermis_skin::SkinDescription;
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 use serde_json::json;
 
+use super::candidates::Candidate;
 use super::run::check_framework;
 use super::{Outcome, Processor, Progress, Request, TrainConfig, run};
 use crate::cli::Labels;
@@ -44,6 +45,9 @@ pub struct Options {
     /// Quantities to learn, e.g. `position.x,position.y,force.normal`.
     #[arg(long, value_delimiter = ',')]
     targets: Option<Vec<String>>,
+    /// Regressors of which training keeps the best, e.g. `network`: the other ones take most of the time.
+    #[arg(long, value_delimiter = ',')]
+    candidates: Option<Vec<Candidate>>,
     /// Widths of the hidden layers, e.g. `128,128`.
     #[arg(long, value_delimiter = ',')]
     hidden: Option<Vec<usize>>,
@@ -97,6 +101,9 @@ fn configuration(options: &Options) -> Result<TrainConfig, LearnError> {
     };
     if let Some(targets) = &options.targets {
         config.targets.clone_from(targets);
+    }
+    if let Some(candidates) = &options.candidates {
+        config.model.candidates.clone_from(candidates);
     }
     if let Some(hidden) = &options.hidden {
         config.network.hidden.clone_from(hidden);
