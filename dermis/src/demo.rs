@@ -15,6 +15,7 @@ use dermis_perception::cli::NetworkArguments;
 use dermis_sensor::Registry;
 
 use crate::backend::Choice;
+use crate::interrupt;
 use crate::output::{StandardError, shown};
 use crate::registry::{SHIPPED, sensors};
 use crate::table::Table;
@@ -91,7 +92,7 @@ async fn play(options: &Options) -> Result<()> {
     let mut show = |touch: &Touch, elapsed: Duration| {
         if options.json { Ok(()) } else { table.draw(elapsed, std::iter::once(touch)) }
     };
-    let elapsed = shown(demo.watch(options.duration, tokio::signal::ctrl_c(), &mut show).await)?;
+    let elapsed = shown(demo.watch(options.duration, interrupt::ended()?, &mut show).await)?;
     if let Some(bridge) = bridge {
         bridge.close().await;
     }

@@ -10,6 +10,7 @@ use dermis_operate::watch::{Request, View, watch};
 use dermis_perception::cli::NetworkArguments;
 
 use crate::backend::Choice;
+use crate::interrupt;
 use crate::output::{StandardError, shown};
 use crate::table::Table;
 
@@ -37,7 +38,7 @@ pub struct Options {
     backend: Choice,
 }
 
-/// Runs until Ctrl-C, or as long as was said.
+/// Runs until Ctrl-C or SIGTERM, or as long as was said.
 pub async fn run(options: Options) -> Result<()> {
     let Options { skins, tare, json, duration, within, network, backend } = options;
     let request = Request { skins, tare, duration, within, network: network.choice() };
@@ -55,6 +56,6 @@ pub async fn run(options: Options) -> Result<()> {
         writeln!(out, "{}", serde_json::to_value(view.record())?)?;
         out.flush()
     };
-    let end = tokio::signal::ctrl_c();
+    let end = interrupt::ended()?;
     shown(watch(&request, backend.open()?.as_ref(), end, &StandardError, &mut show).await)
 }

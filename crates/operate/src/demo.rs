@@ -173,7 +173,7 @@ impl Demo {
     pub async fn watch(
         &self,
         duration: Option<Duration>,
-        end: impl Future<Output = io::Result<()>>,
+        end: impl Future<Output = ()>,
         show: &mut dyn FnMut(&Touch, Duration) -> io::Result<()>,
     ) -> Result<Duration, OperateError> {
         let mut end = std::pin::pin!(end);
@@ -181,7 +181,7 @@ impl Demo {
         loop {
             tokio::select! {
                 () = tokio::time::sleep(LOOK) => {}
-                result = &mut end => { result?; break; }
+                () = &mut end => break,
             }
             let mut seen = lock(&self.seen);
             seen.compare(&self.device);

@@ -83,7 +83,7 @@ impl View<'_> {
 pub async fn watch(
     request: &Request,
     backend: &dyn Backend,
-    end: impl Future<Output = io::Result<()>>,
+    end: impl Future<Output = ()>,
     progress: &dyn Progress,
     show: &mut dyn FnMut(&View<'_>) -> io::Result<()>,
 ) -> Result<()> {
@@ -103,7 +103,7 @@ async fn follow(
     request: &Request,
     node: &Node,
     seen: &Arc<Mutex<Seen>>,
-    end: impl Future<Output = io::Result<()>>,
+    end: impl Future<Output = ()>,
     progress: &dyn Progress,
     show: &mut dyn FnMut(&View<'_>) -> io::Result<()>,
 ) -> Result<()> {
@@ -115,7 +115,7 @@ async fn follow(
         listen(request, node, seen, &mut listened)?;
         tokio::select! {
             () = tokio::time::sleep(LOOK) => {}
-            stopped = &mut end => { stopped?; break; }
+            () = &mut end => break,
         }
         let (missing, news) = {
             let seen = lock(seen);

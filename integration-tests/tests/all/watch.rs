@@ -34,7 +34,10 @@ fn expect(watch: &mut Peer, topics: &[&str], holds: impl Fn(&Value) -> bool) -> 
 
 #[test]
 fn a_running_demo_is_shown_by_another_process() {
-    let _demo = Peer::start(dermis().args(["demo", "--duration", "150s", "--json", "--no-bridge"]));
+    let scratch = tempfile::tempdir().unwrap();
+    let mut demo = Peer::start(
+        dermis().args(["demo", "--duration", "150s", "--json", "--no-bridge"]).env("TMPDIR", scratch.path()),
+    );
     let mut as_json = watch(&["--json", "--within", "40s"]);
     let seen = expect(&mut as_json, &["/contacts"], |seen| {
         let skin = &seen["skins"][0];
@@ -60,6 +63,17 @@ fn a_running_demo_is_shown_by_another_process() {
     let said = String::from_utf8_lossy(&out.stderr);
     assert!(!out.status.success(), "{said}");
     assert!(said.contains("skin `elbow` was not heard") && said.contains("there are baro-grid"), "{said}");
+
+    // Ended as a supervisor ends programs, both are done with what they do, and the demo's files are gone.
+    assert_ne!(std::fs::read_dir(scratch.path()).unwrap().count(), 0);
+    as_json.signal("TERM");
+    assert!(as_json.end(SOON).success());
+    demo.signal("TERM");
+    let found = json(&demo.expect("{", SOON));
+    assert!(found["arrays"].as_u64().is_some_and(|arrays| arrays > 0), "{found}");
+    assert!(demo.end(SOON).success());
+    let left: Vec<_> = std::fs::read_dir(scratch.path()).unwrap().collect();
+    assert!(left.is_empty(), "{left:?}");
 }
 
 #[test]
