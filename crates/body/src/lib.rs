@@ -7,7 +7,7 @@
 //! | [`Inertia`], [`Momentum`] | what does it take to move the links? |
 //! | [`JointHistory`] | where were the joints when a frame was acquired? |
 //! | [`Wrench`] | the same forces about another point, in another frame |
-//! | [`Robot`] | which skins are on which links? (robot file) |
+//! | [`Robot`] | which skins are on which links, and which of these may touch each other? (robot file, SRDF) |
 //! | [`taxel_table`] | where are the taxels of a skin that has a table of positions only? |
 //!
 //! Lengths are in metres, angles in radians, forces in newtons, torques in newton metres. `a_from_b` is the pose of frame b in
@@ -42,6 +42,7 @@ mod dynamics;
 mod history;
 mod kinematics;
 mod robot;
+mod srdf;
 pub mod taxel_table;
 mod urdf;
 mod wrench;

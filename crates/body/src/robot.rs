@@ -4,6 +4,7 @@
 //! schema = "dermis-robot/1"
 //! name = "humanoid"
 //! urdf = "humanoid.urdf"       # xacro expanded; relative to this file, as all paths here
+//! srdf = "humanoid.srdf"       # says which links may touch each other; may be absent
 //! base = "pelvis"              # body frame; the root of the URDF where absent
 //!
 //! [[skins]]
@@ -13,11 +14,13 @@
 //! frame_id = "left_palm_skin"  # of its messages; `left_palm_skin` where absent
 //! mount = { parent = "left_hand", translation = [0.0, 0.01, 0.04], rpy = [-1.5708, 0.0, 0.0] }
 //! timeout = 0.2                # [s] without a message after which it is stale
+//! rate = 100.0                 # [Hz] of its frames; that of the file `skin` where absent
 //! ```
 //!
-//! A skin whose frame is a link of the URDF itself has no `mount`.
+//! A skin whose frame is a link of the URDF itself has no `mount`. Of the file `skin`, reading a robot takes `rate` only, and not
+//! even that where it stands here.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 
 use dermis_skin::{Mount, SkinDescription, SkinError, is_frame, is_name};
@@ -25,16 +28,19 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use crate::body::Body;
+use crate::srdf;
 use crate::taxel_table;
 use crate::urdf::UrdfError;
 
 /// What the file's `schema` has to be.
 const SCHEMA: &str = "dermis-robot/1";
 /// Keys of a file and, behind `skins`, of a skin.
-const KNOWN: &str =
-    "schema, name, urdf, base, skins; in skins: name, skin, taxels, namespace, frame_id, mount, timeout";
+const KNOWN: &str = "schema, name, urdf, srdf, base, skins; \
+    in skins: name, skin, taxels, namespace, frame_id, mount, timeout, rate";
 /// Skins on one robot.
 const MOST_SKINS: usize = 1024;
+/// \[Hz\] of frames.
+const RATES: std::ops::RangeInclusive<f64> = 1e-3..=1e6;
 
 /// Why a robot file cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -68,7 +74,7 @@ pub enum RobotError {
         /// Path of the key.
         key: String,
     },
-    /// The URDF cannot be used.
+    /// The URDF or the SRDF cannot be used.
     #[error(transparent)]
     Urdf(#[from] UrdfError),
     /// A skin file cannot be used.
@@ -81,6 +87,7 @@ struct RobotFile {
     schema: String,
     name: String,
     urdf: PathBuf,
+    srdf: Option<PathBuf>,
     base: Option<String>,
     #[serde(default)]
     skins: Vec<SkinEntry>,
@@ -96,6 +103,7 @@ struct SkinEntry {
     mount: Option<Mount>,
     #[serde(default = "usual_timeout")]
     timeout: f64,
+    rate: Option<f64>,
 }
 
 fn usual_timeout() -> f64 {
@@ -121,6 +129,8 @@ pub struct SkinOnBody {
     pub pose: Isometry3<f64>,
     /// \[s\] without a message after which it is stale.
     pub timeout: f64,
+    /// \[Hz\] of its frames: what the robot file states, or the file of its type; `None` where neither does.
+    pub rate: Option<f64>,
 }
 
 /// A robot and its skins.
@@ -134,6 +144,9 @@ pub struct Robot {
     pub base: usize,
     /// Its skins, in the order of the file.
     pub skins: Vec<SkinOnBody>,
+    /// Pairs of links with skins that may touch each other, by the SRDF; the smaller index first. Empty where the file names no
+    /// SRDF.
+    pub self_contact: Vec<[usize; 2]>,
 }
 
 /// A taxel on a robot.
@@ -150,11 +163,11 @@ pub struct BodyTaxel {
 }
 
 impl Robot {
-    /// Reads a robot file, and the URDF that it names.
+    /// Reads a robot file, the URDF and the SRDF that it names, and the rates that the files of its skins state.
     ///
     /// # Errors
     ///
-    /// [`RobotError`] names the file and the field, or what is wrong with the URDF.
+    /// [`RobotError`] names the file and the field, or what is wrong with the URDF or the SRDF.
     pub fn load(path: impl AsRef<Path>) -> Result<Self, RobotError> {
         let path = path.as_ref();
         let text = dermis_io::read_text(path, dermis_io::TEXT)
@@ -200,8 +213,11 @@ impl Robot {
         let mut skins: Vec<SkinOnBody> = Vec::with_capacity(read.skins.len());
         let mut taken: HashMap<String, usize> = HashMap::new();
         for (i, entry) in read.skins.into_iter().enumerate() {
-            let skin = place(&body, entry, folder)
+            let mut skin = place(&body, entry, folder)
                 .map_err(|(key, reason)| wrong(&format!("skins[{i}].{key}"), reason))?;
+            if let (None, Some(path)) = (skin.rate, &skin.skin) {
+                skin.rate = Some(SkinDescription::rate_of(path)?);
+            }
             for (key, value) in
                 [("name", &skin.name), ("frame_id", &skin.frame_id), ("namespace", &skin.namespace)]
             {
@@ -213,7 +229,10 @@ impl Robot {
             }
             skins.push(skin);
         }
-        Ok(Self { name: read.name, body, base, skins })
+        let carriers: BTreeSet<usize> = skins.iter().map(|skin| skin.link).collect();
+        let self_contact =
+            read.srdf.map(|srdf| srdf::load(&folder.join(srdf), &body, &carriers)).transpose()?;
+        Ok(Self { name: read.name, body, base, skins, self_contact: self_contact.unwrap_or_default() })
     }
 
     /// All taxels of all skins, from skin files and tables.
@@ -332,11 +351,15 @@ fn place(body: &Body, entry: SkinEntry, folder: &Path) -> Result<SkinOnBody, (&'
     if !(1e-3..=3600.0).contains(&entry.timeout) {
         return Err(("timeout", format!("is {} s and must be from 0.001 to 3600", entry.timeout)));
     }
+    if let Some(rate) = entry.rate.filter(|rate| !RATES.contains(rate)) {
+        return Err(("rate", format!("is {rate} Hz and must be from 0.001 to 1000000")));
+    }
     Ok(SkinOnBody {
         skin: entry.skin.map(|path| folder.join(path)),
         taxels: entry.taxels.map(|path| folder.join(path)),
         namespace: namespace.trim_end_matches('/').to_owned(),
         timeout: entry.timeout,
+        rate: entry.rate,
         name,
         frame_id,
         link,

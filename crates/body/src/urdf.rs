@@ -28,7 +28,7 @@ const LARGEST_ANGLE: f64 = 10.0;
 /// Shortest axis that has a direction.
 const SHORTEST_AXIS: f64 = 1e-6;
 
-/// Why a URDF cannot be used.
+/// Why a URDF or an SRDF cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum UrdfError {
@@ -89,11 +89,15 @@ impl Body {
     ///
     /// As [`load`](Self::load).
     pub fn from_urdf(text: &str, file: &str) -> Result<Self, UrdfError> {
-        let options = ParsingOptions { nodes_limit: NODES, ..ParsingOptions::default() };
-        let document = Document::parse_with_options(text, options)
-            .map_err(|error| UrdfError::Xml { file: file.to_owned(), reason: error.to_string() })?;
-        Reader { document: &document, file }.body()
+        Reader { document: &parse(text, file)?, file }.body()
     }
+}
+
+/// The elements of a file.
+pub(crate) fn parse<'i>(text: &'i str, file: &str) -> Result<Document<'i>, UrdfError> {
+    let options = ParsingOptions { nodes_limit: NODES, ..ParsingOptions::default() };
+    Document::parse_with_options(text, options)
+        .map_err(|error| UrdfError::Xml { file: file.to_owned(), reason: error.to_string() })
 }
 
 /// A joint as the file says it, before it is known what moves it.
@@ -109,13 +113,15 @@ fn child<'a, 'i>(node: Node<'a, 'i>, tag: &str) -> Option<Node<'a, 'i>> {
     node.children().find(|n| n.has_tag_name(tag))
 }
 
-struct Reader<'a, 'i> {
-    document: &'a Document<'i>,
-    file: &'a str,
+/// A file that is read.
+pub(crate) struct Reader<'a, 'i> {
+    pub document: &'a Document<'i>,
+    /// What errors call it.
+    pub file: &'a str,
 }
 
 impl<'a, 'i> Reader<'a, 'i> {
-    fn wrong(&self, node: Node<'_, '_>, reason: impl Into<String>) -> UrdfError {
+    pub(crate) fn wrong(&self, node: Node<'_, '_>, reason: impl Into<String>) -> UrdfError {
         let tag = node.tag_name().name();
         let owner = node.ancestors().find_map(|n| n.attribute("name").map(|name| (n, name)));
         let element = match owner {
@@ -135,10 +141,14 @@ impl<'a, 'i> Reader<'a, 'i> {
         UrdfError::Tree { file: self.file.to_owned(), reason }
     }
 
-    fn body(&self) -> Result<Body, UrdfError> {
+    /// The element that holds all others; `kind` is what the file is to be.
+    pub(crate) fn robot(&self, kind: &str) -> Result<Node<'a, 'i>, UrdfError> {
         let robot = self.document.root_element();
         if robot.tag_name().name() != "robot" {
-            return Err(self.wrong(robot, "is not the element `robot` that a URDF begins with"));
+            return Err(self.wrong(
+                robot,
+                format!("is not the element `robot` that {kind} begins with; give another file"),
+            ));
         }
         if let Some(node) =
             robot.descendants().find(|n| n.tag_name().namespace().is_some_and(|ns| ns.contains("xacro")))
@@ -147,6 +157,11 @@ impl<'a, 'i> Reader<'a, 'i> {
                 self.wrong(node, "is xacro, which is not expanded here; give the output of `xacro FILE`")
             );
         }
+        Ok(robot)
+    }
+
+    fn body(&self) -> Result<Body, UrdfError> {
+        let robot = self.robot("a URDF")?;
         let (links, index) = self.links(robot)?;
         let inertias = self.inertias(robot)?;
         let read = self.joints(robot, &index)?;

@@ -143,6 +143,34 @@ impl SkinDescription {
         Ok(skin)
     }
 
+    /// \[Hz\] The frames a second that a skin description file states. Nothing else of the file is judged, and no sensor family
+    /// is asked.
+    ///
+    /// # Errors
+    ///
+    /// [`SkinError`] where the file cannot be read or is no TOML, or where its `rate` is missing or cannot be.
+    pub fn rate_of(path: impl AsRef<Path>) -> Result<f64, SkinError> {
+        #[derive(Deserialize)]
+        struct Stated {
+            rate: f64,
+        }
+        let path = path.as_ref();
+        let file = || path.display().to_string();
+        let text = dermis_io::read_text(path, dermis_io::TEXT)
+            .map_err(|source| SkinError::Read { path: path.to_owned(), source })?;
+        let Stated { rate } = toml::from_str(&text).map_err(|e| SkinError::Parse {
+            file: file(),
+            field: position(&text, e.span()),
+            reason: e.message().trim().replace('\n', " "),
+        })?;
+        let [low, high] = crate::limits::RATE;
+        if !(low..=high).contains(&rate) {
+            let reason = crate::limits::outside(rate, low, high, "Hz");
+            return Err(SkinError::Impossible { file: file(), field: "rate".into(), reason });
+        }
+        Ok(rate)
+    }
+
     /// The same skin with other sensing elements, one channel each: elements that could be, for placement, or that are only
     /// computed.
     ///
@@ -327,6 +355,24 @@ mod tests {
         assert_eq!(skin.channels()[1].name, "t1");
         assert_eq!(skin.channel_noise(), [20.0, 20.0]);
         assert_eq!(skin.channel_taxels(), [0, 1]);
+    }
+
+    #[test]
+    fn a_file_states_its_rate() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("pad.toml");
+        let stated = |text: &str| {
+            std::fs::write(&path, text).unwrap();
+            let error = |e: SkinError| e.to_string().replace(&path.display().to_string(), "pad.toml");
+            SkinDescription::rate_of(&path).map_err(error)
+        };
+        assert_eq!(stated(PAD), Ok(SkinDescription::from_toml(PAD, "pad.toml").unwrap().rate));
+        assert_eq!(stated("sensor = 'of nobody'\nrate = 40"), Ok(40.0));
+        insta::assert_snapshot!(stated("rate = 0.0").unwrap_err(), @"skin file pad.toml: field `rate`: is 0e0 Hz and must be 0.001 to 1000000 Hz");
+        insta::assert_snapshot!(stated("sensor = 'x'").unwrap_err(), @"skin file pad.toml: field `(whole file)`: missing field `rate`");
+        insta::assert_snapshot!(stated("\nrate = 'fast'").unwrap_err(), @r#"skin file pad.toml: field `line 2, column 8`: invalid type: string "fast", expected f64"#);
+        std::fs::remove_file(&path).unwrap();
+        assert!(matches!(SkinDescription::rate_of(&path), Err(SkinError::Read { .. })));
     }
 
     #[test]

@@ -26,6 +26,8 @@ const POINTS: f64 = 1e6;
 const NUMBER: f64 = 1e15;
 /// Components of a direction before it is normalised.
 const DIRECTION: f64 = 1e6;
+/// \[Hz\] of frames.
+pub(crate) const RATE: [f64; 2] = [1e-3, 1e6];
 /// \[m\] below which two elements are at one place.
 const SAME_PLACE: f64 = 1e-6;
 
@@ -33,7 +35,7 @@ const SAME_PLACE: f64 = 1e-6;
 pub(crate) fn check(skin: &SkinDescription) -> Result<(), Fault> {
     let c = &skin.condition;
     for (field, value, [low, high], unit) in [
-        ("rate", skin.rate, [1e-3, 1e6], "Hz"),
+        ("rate", skin.rate, RATE, "Hz"),
         ("noise", skin.noise, [1.0 / NUMBER, NUMBER], &skin.unit),
         ("condition.tare_duration", c.tare_duration, [1e-3, 600.0], "s"),
         ("condition.contact_threshold", c.contact_threshold, [0.1, 1e6], ""),
@@ -61,7 +63,7 @@ pub(crate) fn check(skin: &SkinDescription) -> Result<(), Fault> {
     medium("medium", &toml::Value::Table(skin.medium.clone()))
 }
 
-fn outside(value: f64, low: f64, high: f64, unit: &str) -> String {
+pub(crate) fn outside(value: f64, low: f64, high: f64, unit: &str) -> String {
     let unit = if unit == "1" { "" } else { unit };
     format!("is {value:e} {unit} and must be {low} to {high} {unit}").replace("  ", " ").trim_end().to_owned()
 }

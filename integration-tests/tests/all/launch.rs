@@ -8,7 +8,9 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use dermis_integration_tests::launch::{Launch, PATIENCE, kill, runs, until};
-use dermis_integration_tests::{Peer, backend, client_python, domain, program, root, ros_python};
+use dermis_integration_tests::{
+    Peer, backend, client_python, domain, finish, json, program, root, ros_python,
+};
 use dermis_msgs::diagnostic_msgs::msg::DiagnosticArray;
 use dermis_node::{Node, NodeOptions, Qos};
 use serde_json::Value;
@@ -363,6 +365,32 @@ fn every_launch_file_that_ships_can_be_started() {
     for file in files {
         check(&file).unwrap_or_else(|error| panic!("{error}"));
     }
+}
+
+/// The fusion refuses skins of other names and frames than those of its robot file, and misses those that nobody starts.
+#[test]
+fn the_demo_robot_has_a_device_and_a_node_for_each_of_its_skins() {
+    let launch = root().join("launch");
+    let mut command = Command::new(program("dermis"));
+    command.args(["launch", "--check", "--json"]).arg(launch.join("humanoid.launch.yaml"));
+    let plan = json(&finish(&mut command));
+    let processes = plan["processes"].as_array().unwrap();
+    let robot = dermis_body::Robot::load(launch.join("robots/humanoid.toml")).unwrap();
+    let mut families = std::collections::BTreeSet::new();
+    for skin in &robot.skins {
+        let node = processes.iter().find(|p| p["config"]["instance"] == skin.name.as_str());
+        let node = node.unwrap_or_else(|| panic!("no node reads `{}`", skin.name));
+        let config = &node["config"];
+        assert_eq!(config["namespace"], skin.namespace.as_str(), "{}", skin.name);
+        assert_eq!(config["frame_id"], skin.frame_id.as_str(), "{}", skin.name);
+        let of_node = launch.join(config["skin"].as_str().unwrap()).canonicalize().unwrap();
+        assert_eq!(of_node, skin.skin.as_ref().unwrap().canonicalize().unwrap(), "{}", skin.name);
+        families.insert(node["arguments"][0].as_str().unwrap().to_owned());
+        let truth = format!("--ground-truth={}/ground_truth", skin.namespace);
+        let said = processes.iter().flat_map(|p| p["arguments"].as_array().unwrap()).any(|w| *w == truth);
+        assert!(said, "nobody presses `{}`", skin.name);
+    }
+    assert_eq!(families.into_iter().collect::<Vec<_>>(), ["barodome", "ert", "hapdef", "insight"]);
 }
 
 #[test]

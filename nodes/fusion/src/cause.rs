@@ -1,8 +1,11 @@
 //! What a contact is due to: something that the configuration expects, another link of the robot, or neither.
 //!
-//! An expected contact is a support or a tool that the robot holds. Where a contact lies in its region, the force that is expected there
-//! is taken away, and what is left counts. Links that may touch each other are named in pairs; two contacts on such a pair that are in
-//! one place of the body and look at each other are the robot's own touch.
+//! An expected contact is a support or a tool that the robot holds. Where a contact lies in its region, the force that is
+//! expected there is taken away, and what is left counts. Links that may touch each other are named in pairs, by the
+//! configuration and by the SRDF of the robot file; two contacts on such a pair that are in one place of the body and look at
+//! each other are the robot's own touch.
+
+use std::collections::BTreeSet;
 
 use dermis_body::{Body, Robot};
 use nalgebra::{Point3, Vector3};
@@ -88,11 +91,17 @@ pub enum Cause {
     Expected,
 }
 
+/// Two links, the smaller index first.
+fn pair(a: usize, b: usize) -> [usize; 2] {
+    [a.min(b), a.max(b)]
+}
+
 /// Contacts that have an explanation.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Causes {
     regions: Vec<Region>,
-    pairs: Vec<[usize; 2]>,
+    /// Links that may touch each other, the smaller index first.
+    pairs: BTreeSet<[usize; 2]>,
 }
 
 impl Causes {
@@ -122,13 +131,10 @@ impl Causes {
                 tolerance: e.tolerance,
             });
         }
-        let mut pairs = Vec::new();
-        for (i, pair) in own.iter().enumerate() {
-            let [a, b] = &pair.links;
-            pairs.push([
-                link(a, format!("self_contact[{i}].links[0]"))?,
-                link(b, format!("self_contact[{i}].links[1]"))?,
-            ]);
+        let mut pairs: BTreeSet<[usize; 2]> = robot.self_contact.iter().copied().collect();
+        for (i, SelfContact { links: [a, b] }) in own.iter().enumerate() {
+            let a = link(a, format!("self_contact[{i}].links[0]"))?;
+            pairs.insert(pair(a, link(b, format!("self_contact[{i}].links[1]"))?));
         }
         Ok(Self { regions, pairs })
     }
@@ -157,16 +163,16 @@ impl Causes {
     /// Which of these contacts (link, position and normal in the body frame) are the robot's own.
     pub(crate) fn own(&self, contacts: &[(usize, Point3<f64>, Vector3<f64>)]) -> Vec<bool> {
         let mut own = vec![false; contacts.len()];
-        for [a, b] in &self.pairs {
-            let on = |link: usize| contacts.iter().enumerate().filter(move |(_, c)| c.0 == link);
-            for (i, first) in on(*a) {
-                for (j, second) in on(*b) {
-                    if i != j
-                        && (first.1 - second.1).norm() <= SELF_DISTANCE
-                        && first.2.dot(&second.2) <= SELF_COSINE
-                    {
-                        (own[i], own[j]) = (true, true);
-                    }
+        if self.pairs.is_empty() {
+            return own;
+        }
+        for (i, first) in contacts.iter().enumerate() {
+            for (j, second) in contacts.iter().enumerate().skip(i + 1) {
+                if (first.1 - second.1).norm() <= SELF_DISTANCE
+                    && first.2.dot(&second.2) <= SELF_COSINE
+                    && self.pairs.contains(&pair(first.0, second.0))
+                {
+                    (own[i], own[j]) = (true, true);
                 }
             }
         }
@@ -179,11 +185,19 @@ mod tests {
     use super::*;
 
     fn robot() -> Robot {
+        with_srdf("")
+    }
+
+    /// Two links with a skin each, and what an SRDF says of them.
+    fn with_srdf(elements: &str) -> Robot {
         let folder = tempfile::tempdir().unwrap();
         let urdf = "<robot name='r'><link name='a'/><link name='b'/>\
                     <joint name='j' type='continuous'><parent link='a'/><child link='b'/></joint></robot>";
         std::fs::write(folder.path().join("r.urdf"), urdf).unwrap();
-        let text = "schema = 'dermis-robot/1'\nname = 'r'\nurdf = 'r.urdf'";
+        let srdf = format!("<robot name='r'>{elements}</robot>");
+        std::fs::write(folder.path().join("r.srdf"), srdf).unwrap();
+        let text = "schema = 'dermis-robot/1'\nname = 'r'\nurdf = 'r.urdf'\nsrdf = 'r.srdf'\n\
+                    [[skins]]\nname = 'first'\nframe_id = 'a'\n[[skins]]\nname = 'second'\nframe_id = 'b'\n";
         Robot::from_toml(text, &folder.path().join("r.toml")).unwrap()
     }
 
@@ -224,6 +238,19 @@ mod tests {
         assert_eq!(causes.own(&[contact(0, 0.0, 1.0), contact(1, 0.01, 1.0)]), [false, false]);
         assert_eq!(causes.own(&[contact(0, 0.0, 1.0), contact(1, 0.1, -1.0)]), [false, false]);
         assert_eq!(causes.own(&[contact(0, 0.0, 1.0), contact(0, 0.01, -1.0)]), [false, false]);
+    }
+
+    #[test]
+    fn an_srdf_says_which_links_touch_each_other() {
+        let touch = [(1, Point3::origin(), Vector3::z()), (0, Point3::new(0.01, 0.0, 0.0), -Vector3::z())];
+        for (reason, own) in [("Adjacent", true), ("Default", true), ("User", true), ("Never", false)] {
+            let robot = with_srdf(&format!("<disable_collisions link1='b' link2='a' reason='{reason}'/>"));
+            assert_eq!(Causes::new(&robot, &[], &[]).unwrap().own(&touch), [own, own], "{reason}");
+            // What the configuration names counts in any case.
+            let named = [SelfContact { links: ["b".into(), "a".into()] }];
+            assert_eq!(Causes::new(&robot, &[], &named).unwrap().own(&touch), [true, true], "{reason}");
+        }
+        assert_eq!(Causes::new(&robot(), &[], &[]).unwrap().own(&touch), [false, false]);
     }
 
     #[test]

@@ -96,7 +96,7 @@ pub(crate) fn worse(a: u8, b: u8) -> u8 {
 
 /// Of a skin that nothing was heard of yet.
 fn intake(skin: &SkinOnBody) -> Intake {
-    Intake::new(&skin.name, &skin.frame_id, &contacts_topic(skin), skin.timeout)
+    Intake::new(skin, contacts_topic(skin))
 }
 
 /// Where the contacts of a skin come from.

@@ -13,8 +13,12 @@
 //! | stamps further back than its neighbours have gone on | refused, report by report | STALE |
 //! | another skin's name or coordinate frame | refused: its contacts would be in the wrong place | FAULT |
 //! | two publishers of its name | refused until one of them is silent for 0.5 s | FAULT |
-//! | more reports than [`most_reports`](crate::Settings::most_reports) | those beyond are dropped | DEGRADED |
+//! | more reports than twice its rate or [`most_reports`](crate::Settings::most_reports) | those beyond are dropped | DEGRADED |
+//!
+//! The rate of a skin is what the robot file or its skin file states ([`SkinOnBody::rate`]). A token bucket holds its reports to
+//! the limit. As many as may wait for the node may come at once: a stall is no flood.
 
+use dermis_body::SkinOnBody;
 use dermis_msgs::msg::ContactArray;
 use dermis_skin::Stamp;
 
@@ -27,8 +31,12 @@ const REMEMBERED: f64 = 0.5;
 const RESTARTS: u32 = 3;
 /// \[s\]
 const RESTART_TIME: f64 = 1.0;
-/// \[s\] for which reports may come faster than they are allowed to, as after a stall.
+/// Times the rate that is stated for a skin, above which its reports are a flood: no device's clock is so far off.
+const EXCESS: f64 = 2.0;
+/// \[s\] for which reports may come faster than they are allowed to, as after a stall,
 const BURST: f64 = 0.1;
+/// and how many may in any case: reports of one skin that may wait to be worked in.
+pub(crate) const WAITING: usize = 64;
 /// Contacts of one report.
 const MOST_CONTACTS: usize = 1024;
 
@@ -87,6 +95,8 @@ pub(crate) struct Intake {
     topic: String,
     /// \[s\]
     timeout: f64,
+    /// \[Hz\] of its frames, where a file states it.
+    stated: Option<f64>,
     accepted: Option<Accepted>,
     /// What the skin says of itself, and when it came.
     said: Option<(u8, String, Stamp)>,
@@ -112,12 +122,14 @@ pub(crate) struct Intake {
 }
 
 impl Intake {
-    pub(crate) fn new(name: &str, frame_id: &str, topic: &str, timeout: f64) -> Self {
+    /// Of this skin, whose contacts come on `topic`.
+    pub(crate) fn new(skin: &SkinOnBody, topic: String) -> Self {
         Self {
-            name: name.to_owned(),
-            frame_id: frame_id.to_owned(),
-            topic: topic.to_owned(),
-            timeout,
+            name: skin.name.clone(),
+            frame_id: skin.frame_id.clone(),
+            topic,
+            timeout: skin.timeout,
+            stated: skin.rate,
             accepted: None,
             said: None,
             refusal: None,
@@ -201,11 +213,20 @@ impl Intake {
         self.count_refused()
     }
 
+    /// \[Hz\] of its reports above which further ones are dropped, and whether it is its own rate that says so.
+    fn most_reports(&self, s: &Settings) -> (f64, bool) {
+        match self.stated.map(|rate| EXCESS * rate).filter(|most| *most <= s.most_reports) {
+            Some(most) => (most, true),
+            None => (s.most_reports, false),
+        }
+    }
+
     /// Whether one more report may come now (a token bucket).
     fn allows(&mut self, now: Stamp, s: &Settings) -> bool {
         let (left, since) = self.allowance;
-        let most = (s.most_reports * BURST).max(1.0);
-        let left = (left + seconds(since, now).max(0.0) * s.most_reports).min(most);
+        let (rate, _) = self.most_reports(s);
+        let most = (rate * BURST).max(WAITING as f64);
+        let left = (left + seconds(since, now).max(0.0) * rate).min(most);
         let allowed = left >= 1.0;
         self.allowance = (if allowed { left - 1.0 } else { left }, now);
         if !allowed {
@@ -357,16 +378,28 @@ impl Intake {
             return (ContactArray::STATUS_STALE, text);
         }
         if self.flooded.is_some_and(|at| recent(at, REMEMBERED)) {
-            let text = format!(
-                "skin `{name}`: sends more than {} reports a second; those beyond are dropped: lower its rate, or raise `most_reports`",
-                s.most_reports
-            );
-            return (ContactArray::STATUS_DEGRADED, text);
+            return (ContactArray::STATUS_DEGRADED, self.flood(s));
         }
         match said {
             Some((status, text, _)) if *status != ContactArray::STATUS_OK => (*status, self.sentence(text)),
             _ => (ContactArray::STATUS_OK, String::new()),
         }
+    }
+
+    /// That it sends too much.
+    fn flood(&self, s: &Settings) -> String {
+        let (most, own) = self.most_reports(s);
+        let (what, remedy) = match own {
+            true => (
+                ", twice the rate that is stated for it",
+                "correct `rate` in its skin file or in the robot file",
+            ),
+            false => ("", "raise `most_reports`"),
+        };
+        format!(
+            "skin `{}`: sends more than {most} reports a second{what}; those beyond are dropped: lower its rate, or {remedy}",
+            self.name
+        )
     }
 
     /// What the skin says of itself, with its name.

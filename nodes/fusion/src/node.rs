@@ -22,6 +22,7 @@ use dermis_node::{
 
 use crate::config::{Config, Transforms};
 use crate::fuser::{BodyState, Fuser, contacts_topic};
+use crate::intake::WAITING;
 use crate::maps::Maps;
 use crate::messages;
 use crate::settings::{BIRTHS, FIELDS};
@@ -35,8 +36,6 @@ mod maps;
 
 /// Messages that are sent again to a subscriber who asks for reliable delivery and lost them.
 const KEPT: usize = 10;
-/// Reports of one skin that may wait to be worked in.
-const WAITING: usize = 64;
 /// Periods of `max_rate` after which a report that came too soon after an answer has its own.
 const TRAILING: u32 = 2;
 /// Longest time between two answers.

@@ -38,7 +38,8 @@ pub struct Settings {
     pub oldest: f64,
     /// \[s\] by which the stamp of a report may lie ahead of this machine's clock: what synchronised clocks differ by at most.
     pub ahead: f64,
-    /// \[Hz\] reports of one skin above which further ones are dropped: twice the rate of the fastest skins.
+    /// \[Hz\] reports of one skin above which further ones are dropped: twice the rate of the fastest skins. A skin for which a
+    /// rate is stated may send twice that, if it is less.
     pub most_reports: f64,
 }
 

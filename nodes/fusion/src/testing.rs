@@ -60,6 +60,13 @@ pub(crate) fn fuser(settings: Settings) -> Fuser {
     Fuser::new(robot(), settings, HistoryLimits::default(), &[], &[]).unwrap()
 }
 
+/// The same, where a file states this rate \[Hz\] for every skin.
+pub(crate) fn stated(rate: f64) -> Fuser {
+    let mut robot = robot();
+    robot.skins.iter_mut().for_each(|skin| skin.rate = Some(rate));
+    Fuser::new(robot, Settings::default(), HistoryLimits::default(), &[], &[]).unwrap()
+}
+
 /// A frame of a skin of [`robot`].
 pub(crate) fn report(skin: &str, sequence: u64, stamp: Stamp, contacts: &[Contact]) -> ContactArray {
     ContactArray {

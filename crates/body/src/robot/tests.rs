@@ -64,11 +64,44 @@ fn skins_have_names_poses_and_taxels() {
 }
 
 #[test]
+fn rates_are_those_of_the_robot_file_or_of_the_types() {
+    let rates = |robot: &Robot| robot.skins.iter().map(|skin| skin.rate).collect::<Vec<_>>();
+    assert_eq!(rates(&read(ROBOT).unwrap()), [None, Some(100.0)]);
+    let stated = ROBOT.replace("timeout = 0.5", "rate = 1000.0").replace("taxels =", "rate = 50.0\ntaxels =");
+    assert_eq!(rates(&read(&stated).unwrap()), [Some(50.0), Some(1000.0)]);
+    let missing = read(&ROBOT.replace("pad.toml", "none.toml")).unwrap_err();
+    assert!(matches!(missing, RobotError::Skin(SkinError::Read { .. })), "{missing}");
+    // A computer that runs no skin need not have its file.
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("arm.urdf"), URDF).unwrap();
+    Robot::from_toml(&stated, &folder.path().join("arm.toml")).unwrap();
+}
+
+#[test]
+fn an_srdf_says_which_links_may_touch_each_other() {
+    let load = |elements: &str| {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("arm.urdf"), URDF).unwrap();
+        let text = format!("<robot name='arm'>\n{elements}</robot>");
+        std::fs::write(folder.path().join("arm.srdf"), text).unwrap();
+        let robot = ROBOT.replace("urdf = \"arm.urdf\"", "urdf = \"arm.urdf\"\nsrdf = \"arm.srdf\"");
+        let robot = robot.replace("skin = \"pad.toml\"\n", "");
+        Robot::from_toml(&robot, &folder.path().join("arm.toml")).map(|robot| robot.self_contact)
+    };
+    assert_eq!(load("").unwrap(), [[0_usize; 2]; 0]);
+    assert_eq!(load("<disable_collisions link1='fore' link2='base' reason='Adjacent'/>").unwrap(), [[0, 1]]);
+    let wrong = load("<disable_collisions link1='fore' link2='hand' reason='Adjacent'/>").unwrap_err();
+    assert!(wrong.to_string().contains("arm.srdf: line 2: disable_collisions of robot \"arm\": "), "{wrong}");
+    assert!(read(ROBOT).unwrap().self_contact.is_empty());
+}
+
+#[test]
 fn refusals_name_file_field_and_remedy() {
     insta::assert_snapshot!(refused("dermis-robot/1", "dermis-robot/9"), @r#"robot file arm.toml: field `schema`: is "dermis-robot/9" where this program reads "dermis-robot/1""#);
     insta::assert_snapshot!(refused("base = \"fore\"", "base = \"hand\""), @r#"robot file arm.toml: field `base`: "hand" is no link of arm.urdf"#);
-    insta::assert_snapshot!(refused("timeout = 0.5", "timout = 0.5"), @"robot file arm.toml: unknown key `skins.1.timout`; remove it or correct its spelling (known here: schema, name, urdf, base, skins; in skins: name, skin, taxels, namespace, frame_id, mount, timeout)");
+    insta::assert_snapshot!(refused("timeout = 0.5", "timout = 0.5"), @"robot file arm.toml: unknown key `skins.1.timout`; remove it or correct its spelling (known here: schema, name, urdf, srdf, base, skins; in skins: name, skin, taxels, namespace, frame_id, mount, timeout, rate)");
     insta::assert_snapshot!(refused("timeout = 0.5", "timeout = -1"), @"robot file arm.toml: field `skins[1].timeout`: is -1 s and must be from 0.001 to 3600");
+    insta::assert_snapshot!(refused("timeout = 0.5", "rate = 0"), @"robot file arm.toml: field `skins[1].rate`: is 0 Hz and must be from 0.001 to 1000000");
     insta::assert_snapshot!(refused("parent = \"fore\"", "parent = \"hand\""), @r#"robot file arm.toml: field `skins[0].mount.parent`: "hand" is no link of the URDF; correct the name"#);
     insta::assert_snapshot!(refused("frame_id = \"base\"", "frame_id = \"elsewhere\""), @r#"robot file arm.toml: field `skins[1].mount`: is missing, and "elsewhere" is no link of the URDF; say which link the skin is fixed to"#);
     insta::assert_snapshot!(refused("name = \"left\"", "name = \"left\"\nframe_id = \"fore\""), @r#"robot file arm.toml: field `skins[0].frame_id`: "fore" is a link of the URDF, which places it already; take another name, or remove `mount`"#);

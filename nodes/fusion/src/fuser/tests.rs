@@ -9,7 +9,7 @@ use dermis_skin::ForceComponents;
 use nalgebra::Matrix3;
 
 use super::*;
-use crate::testing::{BEGIN, MS, contact, fuser, report};
+use crate::testing::{BEGIN, MS, contact, fuser, report, stated};
 
 /// Place of a contact in the frame of the chest, which is 0.3 m above the base.
 fn on_chest(touch: &BodyTouch) -> Vector3<f64> {

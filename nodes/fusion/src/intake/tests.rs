@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::fuser::Fuser;
-use crate::testing::{BEGIN, MS, contact, fuser, report};
+use crate::testing::{BEGIN, MS, contact, fuser, report, stated};
 
 const OK: u8 = ContactArray::STATUS_OK;
 const STALE: u8 = ContactArray::STATUS_STALE;
@@ -18,7 +18,11 @@ struct Stream {
 impl Stream {
     /// Half a second of good reports.
     fn begin() -> Self {
-        let mut stream = Self { fuser: fuser(Settings::default()), now: BEGIN, sequence: 0 };
+        Self::of(fuser(Settings::default()))
+    }
+
+    fn of(fuser: Fuser) -> Self {
+        let mut stream = Self { fuser, now: BEGIN, sequence: 0 };
         stream.good(50);
         assert_eq!(stream.ask(), (OK, String::new(), 1));
         stream
@@ -26,6 +30,18 @@ impl Stream {
 
     fn send(&mut self, change: impl FnOnce(&mut ContactArray)) -> bool {
         self.send_from([1; 16], change)
+    }
+
+    /// So many reports, so many a second and 1 ms old; how many are used.
+    fn run(&mut self, reports: u32, rate: i64) -> u32 {
+        let mut used = 0;
+        for _ in 0..reports {
+            self.now += 1000 * MS / rate;
+            self.sequence += 1;
+            let message = report("a", self.sequence, self.now - MS, &[contact(1, 0.0, 0.0, 3.0)]);
+            used += u32::from(self.fuser.take(0, &message, Some([1; 16]), self.now));
+        }
+        used
     }
 
     /// One report 10 ms later.
@@ -159,6 +175,54 @@ fn a_flood_is_bounded() {
     insta::assert_snapshot!(text, @"skin `a`: sends more than 2000 reports a second; those beyond are dropped: lower its rate, or raise `most_reports`");
     assert_eq!(stream.fuser.state(stream.now).skins[0].health.refused - before, 20_000 - u64::from(used));
     stream.recovers();
+}
+
+/// 1,000 a second of a skin of 100 Hz: less than `most_reports`.
+#[test]
+fn a_skin_that_sends_more_than_its_rate_is_bounded() {
+    let mut stream = Stream::of(stated(100.0));
+    assert_eq!(stream.run(1900, 190), 1900, "nearly twice its rate");
+    assert_eq!(stream.ask(), (OK, String::new(), 1));
+    let refused = stream.fuser.state(stream.now).skins[0].health.refused;
+    let used = stream.run(2000, 1000);
+    // 200 a second for 2 s, and the 64 that may wait.
+    assert!((459..=469).contains(&used), "{used}");
+    let (status, text, contacts) = stream.ask();
+    assert_eq!((status, contacts), (ContactArray::STATUS_DEGRADED, 1));
+    insta::assert_snapshot!(text, @"skin `a`: sends more than 200 reports a second, twice the rate that is stated for it; those beyond are dropped: lower its rate, or correct `rate` in its skin file or in the robot file");
+    assert_eq!(stream.fuser.state(stream.now).skins[0].health.refused - refused, u64::from(2000 - used));
+    stream.recovers();
+    // Nobody states a rate: `most_reports` bounds it.
+    let mut stream = Stream::begin();
+    assert_eq!(stream.run(2000, 1000), 2000);
+    assert_eq!(stream.ask(), (OK, String::new(), 1));
+}
+
+/// A rate in a file does not raise what the fusion takes.
+#[test]
+fn the_lower_limit_counts() {
+    let mut stream = Stream::of(stated(5000.0));
+    let used = stream.run(5000, 5000);
+    // 2,000 a second for 1 s, and the burst of 0.1 s.
+    assert!((2190..=2210).contains(&used), "{used}");
+    assert!(stream.ask().1.ends_with("or raise `most_reports`"));
+}
+
+/// What a network holds back for half a second comes at once.
+#[test]
+fn a_stall_is_no_flood() {
+    let mut stream = Stream::of(stated(100.0));
+    let begun = stream.now;
+    stream.now += 500 * MS;
+    for k in 1..=50 {
+        stream.sequence += 1;
+        let stamp = begun + k * 10 * MS;
+        let message = report("a", stream.sequence, stamp, &[contact(1, 0.0, 0.0, 3.0)]);
+        assert!(stream.fuser.take(0, &message, Some([1; 16]), stream.now), "report {k}");
+    }
+    assert_eq!(stream.ask(), (OK, String::new(), 1));
+    stream.good(100);
+    assert_eq!(stream.ask(), (OK, String::new(), 1));
 }
 
 #[test]
