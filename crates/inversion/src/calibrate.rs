@@ -173,6 +173,7 @@ impl Fits<'_> {
                 shear: None,
                 keeps: false,
                 least_gain: LEAST_GAIN,
+                by_differences: false,
             };
             let fit = problem.minimise(frame.stimulus.contacts.clone())?;
             let freedom = known.saturating_sub(self.unknowns.count() * fit.contacts.len()) as f64;

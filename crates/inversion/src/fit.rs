@@ -12,6 +12,10 @@ const MOVE: f64 = 2e-5;
 const CHANGE: f64 = 1e-3;
 /// \[N\] by which a force is changed at least.
 const LEAST_CHANGE: f64 = 1e-5;
+/// The same where derivatives are differences of responses: pictures of 32-bit numbers do not tell smaller ones.
+const WIDE_MOVE: f64 = 1e-4;
+const WIDE_CHANGE: f64 = 0.05;
+const WIDE_LEAST_CHANGE: f64 = 1e-3;
 /// \[N\] of the lightest press.
 const LIGHTEST: f64 = 1e-4;
 /// \[m\] farthest that a place moves in one step, on skins of a hand's width.
@@ -74,6 +78,9 @@ pub(crate) struct Problem<'a> {
     pub keeps: bool,
     /// What a step gains of the sum of squared deviations, in units of the noise, at the least that there is another.
     pub least_gain: f64,
+    /// Whether derivatives are differences of responses, whatever the model knows of them: those of a model may be so rough that a search ends on
+    /// a slope.
+    pub by_differences: bool,
 }
 
 /// A minimum.
@@ -210,7 +217,18 @@ impl Problem<'_> {
             let out = slopes.jacobian.as_mut_slice();
             // Beside an edge of the surface, where its normal jumps, a sheared contact may pull at its neighbours' locations: as far as here
             // the model knows an answer.
-            if self.model.jacobian(&stimulus, self.unknowns, &self.differences(), out).is_err() {
+            let known = if self.by_differences {
+                let wide = Differences {
+                    place: WIDE_MOVE,
+                    force: WIDE_CHANGE,
+                    least_force: WIDE_LEAST_CHANGE,
+                    ..self.differences()
+                };
+                wide.jacobian(self.model, &stimulus, self.unknowns, out)
+            } else {
+                self.model.jacobian(&stimulus, self.unknowns, &self.differences(), out)
+            };
+            if known.is_err() {
                 return None;
             }
             for mut column in slopes.jacobian.column_iter_mut() {
@@ -329,6 +347,11 @@ impl Problem<'_> {
                 }
             }
         }
+    }
+
+    /// A contact that is moved along the surface by `stride` \[m\], and its force turned with the surface.
+    pub fn shifted(&self, contact: &Indentation, stride: &Vector3<f64>) -> Indentation {
+        self.differences().shifted(self.model.surface(), contact, self.unknowns, stride)
     }
 
     /// A contact after one step in all of its unknowns.

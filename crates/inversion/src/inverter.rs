@@ -9,6 +9,7 @@
 
 mod describe;
 mod modes;
+mod nearby;
 mod search;
 mod starts;
 #[cfg(test)]
@@ -271,6 +272,7 @@ impl Inverter {
             shear: self.settings.shear,
             keeps: self.settings.search == Search::Near,
             least_gain: if self.settings.search == Search::Near { NEAR_GAIN } else { LEAST_GAIN },
+            by_differences: false,
         }
     }
 

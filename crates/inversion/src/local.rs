@@ -7,9 +7,11 @@
 //! ones count for less, for there the minimum of a contact is wide (graduated non-convexity, A. Blake and A. Zisserman, *Visual Reconstruction*,
 //! 1987). Where one contact is not enough, all peaks of what is left that stand out are taken in together,
 //! refined together, and those that the readings do without are dropped (compressive sampling matching pursuit, D. Needell and J. A. Tropp,
-//! *Appl. Comput. Harmon. Anal.* 26 (2009) 301; dropped by Wald's statistic, A. Wald, *Trans. Am. Math. Soc.* 54 (1943) 426). Assumptions: as the
-//! [search's](crate::Inverter), and a minimum that explains the readings is the only one. Cost: one minimisation where somebody knows; a
-//! product with the dictionary and a minimisation for each of some rounds where nobody does.
+//! *Appl. Comput. Harmon. Anal.* 26 (2009) 301; dropped by Wald's statistic, A. Wald, *Trans. Am. Math. Soc.* 54 (1943) 426). That a minimum leaves no
+//! more than noise in all readings together says little of the few that one contact changes: what stands out of the rest is taken in all the
+//! same, and the readings beneath a contact are judged by themselves (`inverter/nearby.rs`). Assumptions: as the
+//! [search's](crate::Inverter), and a minimum that explains the readings there is the only one. Cost: one minimisation and a product with the
+//! dictionary where somebody knows; such a product and a minimisation for each of some rounds where nobody does.
 
 use dermis_model::{Indentation, Unknown};
 
@@ -32,10 +34,10 @@ const ELSEWHERE: usize = 16;
 const BESIDE: f64 = 1.2;
 /// Deviations of its expectation up to which a sum of squared deviations is what noise leaves: noise alone begins one search of a thousand
 /// anew, which takes longer than the others.
-const PLAUSIBLE: f64 = 3.0;
+pub(crate) const PLAUSIBLE: f64 = 3.0;
 /// What the zero adds to the variance of a reading, as a share: it is the mean of some twenty untouched ones (half a second at 40 frames a
 /// second). Of 1500 readings that is more than the noise of their sum.
-const ZERO: f64 = 0.05;
+pub(crate) const ZERO: f64 = 0.05;
 
 /// What least squares begun at given contacts came to.
 enum LocalFit {
@@ -43,6 +45,15 @@ enum LocalFit {
     Explains(Minimum),
     /// The best of those that do not explain them; `None` where no contacts were given.
     Fails(Option<Minimum>),
+}
+
+/// How long further contacts are taken in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Until {
+    /// Until what is left of all readings is no more than noise.
+    Explained,
+    /// Until no place of the dictionary explains of it what a contact must gain.
+    NothingStandsOut,
 }
 
 impl Inverter {
@@ -61,15 +72,21 @@ impl Inverter {
         self.check(readings)?;
         let data = self.data(readings);
         let problem = self.problem(&data);
+        let most = self.most(&data);
         let best = match self.fit_locally(&problem, &data, before, starts)? {
-            LocalFit::Explains(minimum) => return Ok(self.solution(&minimum, &data)),
-            LocalFit::Fails(best) => best,
-        };
-        // Contacts that lie wrong would be in the way of those that are there.
-        let found = self.pursue(&problem, &data, self.most(&data))?;
-        let best = match best {
-            Some(best) if self.cost(&best) <= self.cost(&found) && self.apart(&best) => best,
-            _ => found,
+            LocalFit::Explains(minimum) => {
+                self.take_in(&problem, &data, self.settle(&data, minimum)?, (most, Until::NothingStandsOut))?
+            }
+            LocalFit::Fails(best) => {
+                // Contacts that lie wrong would be in the way of those that are there.
+                let found = self.pursue(&problem, &data, most)?;
+                let best = match best {
+                    Some(best) if self.cost(&best) <= self.cost(&found) && self.apart(&best) => best,
+                    _ => found,
+                };
+                // What one contact left that was not quite right may have been taken for another.
+                self.without_idle(&problem, self.settle(&data, best)?)?
+            }
         };
         Ok(self.solution(&best, &data))
     }
@@ -89,10 +106,13 @@ impl Inverter {
         self.check(readings)?;
         let data = self.data(readings);
         let problem = self.problem(&data);
-        Ok(match self.fit_locally(&problem, &data, before, starts)? {
-            LocalFit::Explains(minimum) => Some(self.solution(&minimum, &data)),
-            LocalFit::Fails(_) => None,
-        })
+        let LocalFit::Explains(minimum) = self.fit_locally(&problem, &data, before, starts)? else {
+            return Ok(None);
+        };
+        let room = self.most(&data).saturating_sub(minimum.contacts.len()).min(1);
+        let further = self.peaks_left(&data, &minimum, room, self.settings().evidence);
+        let whole = further.is_empty() && self.fits_beneath(&data, &minimum)?;
+        Ok(whole.then(|| self.solution(&minimum, &data)))
     }
 
     /// Least squares begun at the contacts of the frame `before`, then at `starts`, until one explains the readings.
@@ -132,7 +152,7 @@ impl Inverter {
             let minimum = if alone {
                 problem.minimise(roughly.contacts)?
             } else {
-                let all = self.take_in(&smooth, &coarse, roughly, most)?;
+                let all = self.take_in(&smooth, &coarse, roughly, (most, Until::Explained))?;
                 self.without_idle(problem, problem.minimise(all.contacts)?)?
             };
             if best.contacts.is_empty() || self.cost(&minimum) < self.cost(&best) {
@@ -150,7 +170,10 @@ impl Inverter {
             }
         }
         best = self.elsewhere(problem, data, (&smooth, &coarse), best)?;
-        self.take_in(problem, data, best, most)
+        if best.contacts.len() == 1 {
+            best = self.settle(data, best)?;
+        }
+        self.take_in(problem, data, best, (most, Until::NothingStandsOut))
     }
 
     /// A single contact that explains readings which `best` does not, begun at locations beside the peaks as well: where shear or a beam beneath
@@ -181,17 +204,18 @@ impl Inverter {
         Ok(best)
     }
 
-    /// Takes in peaks of what contacts leave until they explain the readings.
+    /// Takes in peaks of what contacts leave until they explain the readings, or, though they do, until none stands out: a contact that changes
+    /// some tens of many readings is lost in the sum of all of them.
     fn take_in(
         &self,
         problem: &Problem<'_>,
         data: &[Datum],
         mut best: Minimum,
-        most: usize,
+        (most, until): (usize, Until),
     ) -> Result<Minimum, InverterError> {
         for _ in 0..ROUNDS {
             let room = most.saturating_sub(best.contacts.len());
-            if room == 0 || self.explains(&best, data) {
+            if room == 0 || until == Until::Explained && self.explains(&best, data) {
                 break;
             }
             let further = self.peaks_left(data, &best, room, self.settings().evidence);

@@ -1,0 +1,336 @@
+//! Minima beside the one that a search ended in.
+//!
+//! Problem: of a contact on thin elastomer the pattern changes within a fraction of a millimetre, so that least squares have several minima
+//! beside one another, and derivatives that hold for small displacements may end on a slope. Such a minimum leaves a hundred units of squared
+//! deviations more than the true one does, which is little beside what noise leaves in 1,500 readings, and so it passes for an explanation.
+//! Method: the readings that a contact changes by more than their noise are judged by themselves (Pearson's χ² of a part). Where they do not
+//! fit, the search is continued with derivatives that are differences of responses, and from a lattice of places around the contact, whose
+//! spacing is the way over which the pattern there changes as much as it is strong: all are compared by one response each, the best are
+//! refined, and the likeliest minimum is the answer (multistart; A. H. G. Rinnooy Kan and G. T. Timmer, *Math. Program.* 39 (1987) 27). Assumptions:
+//! as the search's; the other contacts are about right. Cost: nothing but a sum where the readings fit, which they do in all but one of
+//! some hundred frames; otherwise some 50 responses and five minimisations for a contact, of two contacts at most.
+
+use dermis_model::{Indentation, Unknowns, tangents};
+use nalgebra::Vector3;
+
+use super::{Inverter, residuals};
+use crate::fit::{Datum, Minimum, Problem};
+use crate::local::ZERO;
+use crate::settings::InverterError;
+
+/// Deviations of its noise by which a contact changes a reading that is judged with it.
+const SHOWS: f64 = 1.0;
+/// Deviations of its expectation up to which what is left of these readings is what noise leaves: what a false alarm costs is a minimisation.
+const PLAUSIBLE: f64 = 2.5;
+/// Readings that are judged, at least: fewer belong to a contact that is too light for its place to be known so well.
+const FEWEST: usize = 12;
+/// Spacings of the lattice within the dictionary's, at most: farther away the dictionary itself has a place to begin at.
+const RINGS: usize = 4;
+/// Places that the search is begun at.
+const STARTS: usize = 4;
+/// Spacings of the lattice that these are apart.
+const APART: f64 = 1.5;
+/// Contacts that are settled, one after the other, the one that fits worst first.
+const PASSES: usize = 2;
+/// What a pass must gain of the sum of squared deviations that another is worth its time.
+const WORTH: f64 = 4.0;
+/// \[m\] by which a contact is moved to see how its pattern changes.
+const MOVE: f64 = 1e-4;
+/// Factor by which a start may press more or less than the contact does that it stands in for.
+const HARDER: f64 = 5.0;
+
+impl Inverter {
+    /// Whether what is left beneath every contact is what noise leaves there.
+    pub(crate) fn fits_beneath(&self, data: &[Datum], minimum: &Minimum) -> Result<bool, InverterError> {
+        Ok(self.worst(&self.problem(data), data, minimum)?.is_none())
+    }
+
+    /// The likeliest of this minimum and of those beside it; itself, at once, where the readings beneath its contacts fit.
+    pub(crate) fn settle(&self, data: &[Datum], minimum: Minimum) -> Result<Minimum, InverterError> {
+        let careful = Problem { by_differences: true, ..self.problem(data) };
+        let mut best = minimum;
+        for _ in 0..PASSES {
+            let before = best.chi2;
+            if self.worst(&careful, data, &best)?.is_none() {
+                break;
+            }
+            let polished = careful.minimise(best.contacts.clone())?;
+            self.keep(&mut best, polished);
+            let Some(worst) = self.worst(&careful, data, &best)? else { break };
+            for start in self.beside(&careful, data, &best, worst)? {
+                let mut all = best.contacts.clone();
+                all[worst] = start;
+                let moved = careful.minimise(all)?;
+                if self.keep(&mut best, moved) && self.worst(&careful, data, &best)?.is_none() {
+                    return Ok(best);
+                }
+            }
+            if best.chi2 > before - WORTH {
+                break;
+            }
+        }
+        Ok(best)
+    }
+
+    /// Whether `other`, of as many contacts, takes the place of `best`.
+    fn keep(&self, best: &mut Minimum, other: Minimum) -> bool {
+        let better = other.chi2 < best.chi2 && self.apart(&other);
+        if better {
+            *best = other;
+        }
+        better
+    }
+
+    /// The contact beneath which the readings fit worst; `None` where all do.
+    fn worst(
+        &self,
+        problem: &Problem<'_>,
+        data: &[Datum],
+        minimum: &Minimum,
+    ) -> Result<Option<usize>, InverterError> {
+        let left = residuals(data, &minimum.signal);
+        let mut worst: Option<(f64, usize)> = None;
+        for index in 0..minimum.contacts.len() {
+            let excess = excess(&self.own_signal(problem, minimum, index)?, &left, data);
+            if excess > worst.map_or(0.0, |(most, _)| most) {
+                worst = Some((excess, index));
+            }
+        }
+        Ok(worst.map(|(_, index)| index))
+    }
+
+    /// Signal of one contact by itself.
+    fn own_signal(
+        &self,
+        problem: &Problem<'_>,
+        minimum: &Minimum,
+        index: usize,
+    ) -> Result<Vec<f64>, InverterError> {
+        if minimum.contacts.len() == 1 {
+            return Ok(minimum.signal.clone());
+        }
+        let mut own = vec![0.0; minimum.signal.len()];
+        problem.signal(&minimum.contacts[index..=index], &mut own)?;
+        Ok(own)
+    }
+
+    /// Contacts around one of a minimum's that explain best what the others leave, each scaled to do so.
+    fn beside(
+        &self,
+        problem: &Problem<'_>,
+        data: &[Datum],
+        minimum: &Minimum,
+        index: usize,
+    ) -> Result<Vec<Indentation>, InverterError> {
+        let contact = &minimum.contacts[index];
+        let own = self.own_signal(problem, minimum, index)?;
+        let others: Vec<f64> = minimum.signal.iter().zip(&own).map(|(all, own)| all - own).collect();
+        let left = residuals(data, &others);
+        let step = self.pattern_step(problem, data, contact, &own)?;
+        let rings = (self.spacing / step).floor().clamp(1.0, RINGS as f64) as i32;
+        let across = if self.settings.unknowns == Unknowns::Line { 0 } else { rings };
+        let (_, normal) = self.surface().project(&contact.position);
+        let axes = tangents(&normal);
+        let mut signal = vec![0.0; data.len()];
+        let mut scored: Vec<(f64, Indentation)> = Vec::new();
+        for (i, j) in (-rings..=rings).flat_map(|i| (-across..=across).map(move |j| (i, j))) {
+            let stride: Vector3<f64> = axes[0] * (f64::from(i) * step) + axes[1] * (f64::from(j) * step);
+            let length = stride.norm();
+            if length == 0.0 || length > f64::from(rings) * step * (1.0 + 1e-9) {
+                continue;
+            }
+            let mut moved = problem.shifted(contact, &stride);
+            problem.signal(std::slice::from_ref(&moved), &mut signal)?;
+            let (mut dot, mut square) = (0.0, 0.0);
+            for (value, left) in whitened(&signal, data).zip(&left) {
+                dot += value * f64::from(*left);
+                square += value * value;
+            }
+            if dot > 0.0 && square > 0.0 {
+                moved.force *= (dot / square).clamp(1.0 / HARDER, HARDER);
+                scored.push((dot * dot / square, moved));
+            }
+        }
+        scored.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let mut chosen: Vec<Indentation> = Vec::new();
+        for (_, start) in scored {
+            if chosen.len() == STARTS {
+                break;
+            }
+            if chosen.iter().all(|c| (c.position - start.position).norm() >= APART * step) {
+                chosen.push(start);
+            }
+        }
+        Ok(chosen)
+    }
+
+    /// \[m\] over which a contact's pattern changes as much as it is strong, in the direction in which that is least; no more than the
+    /// dictionary's spacing, and no less than the finest lattice's.
+    fn pattern_step(
+        &self,
+        problem: &Problem<'_>,
+        data: &[Datum],
+        contact: &Indentation,
+        own: &[f64],
+    ) -> Result<f64, InverterError> {
+        let strength = whitened(own, data).map(|v| v * v).sum::<f64>().sqrt();
+        let (_, normal) = self.surface().project(&contact.position);
+        let mut least = self.spacing;
+        let mut moved = vec![0.0; own.len()];
+        for axis in tangents(&normal) {
+            problem.signal(&[problem.shifted(contact, &(axis * MOVE))], &mut moved)?;
+            let change =
+                whitened(&moved, data).zip(whitened(own, data)).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
+            if change > 0.0 {
+                least = least.min(MOVE * strength / change.sqrt());
+            }
+        }
+        Ok(least.max(self.spacing / RINGS as f64))
+    }
+}
+
+/// A signal in units of the noise of readings; what cannot be relied on is 0.
+fn whitened<'a>(signal: &'a [f64], data: &'a [Datum]) -> impl Iterator<Item = f64> + 'a {
+    signal.iter().zip(data).map(|(value, datum)| match datum {
+        Datum::Exact(_, weight) | Datum::AtLeast(_, weight) | Datum::AtMost(_, weight) => value * weight,
+        Datum::None => 0.0,
+    })
+}
+
+/// What is `left` of the readings that a contact's `own` signal changes, in units of their noise, beyond what noise leaves of as many; 0 or less
+/// where they fit, or are too few.
+fn excess(own: &[f64], left: &[f32], data: &[Datum]) -> f64 {
+    let (mut count, mut sum) = (0_usize, 0.0);
+    for ((value, left), datum) in whitened(own, data).zip(left).zip(data) {
+        if matches!(datum, Datum::Exact(..)) && value.abs() >= SHOWS {
+            count += 1;
+            sum += f64::from(*left).powi(2);
+        }
+    }
+    if count < FEWEST {
+        return 0.0;
+    }
+    sum - (1.0 + ZERO) * (count as f64 + PLAUSIBLE * (2.0 * count as f64).sqrt())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use dermis_fixtures::Analytic;
+    use dermis_skin::{Surface, SurfaceSpec};
+    use nalgebra::Point3;
+
+    use super::*;
+    use crate::Search;
+    use crate::settings::Settings;
+    use crate::testing::{press, random, read};
+
+    /// \[m\] between troughs of a pattern, and over which it fades.
+    const PITCH: f64 = 1.2e-3;
+    const WIDTH: f64 = 1.6e-3;
+
+    /// 50 by 50 elements in the middle of a plane, whose pattern has troughs beside its crest as that of thin elastomer has: one pitch away it
+    /// is nearly the same.
+    fn thin(noise: f64) -> Arc<Analytic> {
+        let at = |i: usize| (i as f64 - 24.5) * 4.8e-4;
+        let elements = (0..2500).map(|i| Point3::new(at(i % 50), at(i / 50), 0.0));
+        let spec = SurfaceSpec::Rectangle { size: [0.060, 0.060], spacing: 0.0015 };
+        Arc::new(Analytic::new(Surface::from_spec(&spec), elements, noise, |c, element| {
+            let off = element - c.position;
+            let fades = (-off.norm_squared() / (2.0 * WIDTH * WIDTH)).exp();
+            -c.force.z * (std::f64::consts::TAU * off.x / PITCH).cos() * fades
+        }))
+    }
+
+    fn near(model: &Arc<Analytic>) -> Inverter {
+        let mut settings = Settings::new(0.004, 2.0);
+        (settings.contacts, settings.distance, settings.search) = (3, 0.004, Search::Near);
+        Inverter::new(Arc::clone(model) as _, settings).unwrap()
+    }
+
+    /// A contact of the frame before lies one pitch beside the true one. Least squares from there end one pitch away, in a minimum that all
+    /// readings together do not tell from the truth.
+    #[test]
+    fn a_minimum_beside_the_true_one_is_left() {
+        let model = thin(0.16);
+        let inverter = near(&model);
+        for (seed, truth) in
+            [press(0.0011, 0.0007, 1.0), press(-0.0023, 0.0016, 1.0), press(0.0004, -0.0031, 1.0)]
+                .into_iter()
+                .enumerate()
+        {
+            let readings = read(&model, std::slice::from_ref(&truth), &mut random(seed as u64));
+            let data = inverter.data(&readings);
+            let beside = press(truth.position.x + PITCH, truth.position.y, -truth.force.z);
+            let trapped = inverter.problem(&data).minimise(vec![beside]).unwrap();
+            let off = (trapped.contacts[0].position - truth.position).norm();
+            assert!((0.6 * PITCH..1.4 * PITCH).contains(&off), "it is trapped {off} m away");
+            let all = (1.0 + ZERO) * (2497.0 + crate::local::PLAUSIBLE * (2.0 * 2497.0f64).sqrt());
+            assert!(trapped.chi2 < all, "all readings together do not tell: {} of {all}", trapped.chi2);
+            assert!(!inverter.fits_beneath(&data, &trapped).unwrap(), "those beneath it do");
+            let before = inverter.solution(&trapped, &data).contacts;
+            assert!(inverter.follow_near(&readings, &before, &[]).unwrap().is_none());
+            let found = inverter.search_near(&readings, &before, &[]).unwrap();
+            assert_eq!(found.contacts.len(), 1, "{found:?}");
+            // Four deviations of the Cramér–Rao bound: 8 µm along the wave, and 90 µm across it, where the pattern only fades.
+            let off = found.contacts[0].position - truth.position;
+            assert!(off.x.abs() < 4e-5 && off.y.abs() < 4e-4, "{off} m off");
+            let settled = inverter.settle(&data, trapped.clone()).unwrap();
+            assert!(settled.chi2 < trapped.chi2 - 30.0);
+            // What fits is left as it is.
+            let again = inverter.settle(&data, settled.clone()).unwrap();
+            assert_eq!((again.chi2, again.contacts), (settled.chi2, settled.contacts));
+        }
+    }
+
+    /// A second contact that changes some tens of 2,500 readings is lost in the sum of all, and stands out at its place.
+    #[test]
+    fn a_light_contact_beside_a_known_one_is_taken_in() {
+        let model = thin(0.16);
+        let inverter = near(&model);
+        // At places of the dictionary, whose own pattern is that of the press.
+        let place = |x: f64| {
+            let off = |p: &Point3<f64>| (p - Point3::new(x, 0.0, 0.0)).norm();
+            let all = inverter.dictionary.locations.iter().map(|l| l.position);
+            all.min_by(|a, b| off(a).total_cmp(&off(b))).unwrap()
+        };
+        let (strong, light) = (place(-0.003), place(0.006));
+        let truth = [press(strong.x, strong.y, 1.0), press(light.x, light.y, 0.4)];
+        let readings = read(&model, &truth, &mut random(7));
+        let data = inverter.data(&readings);
+        let alone = inverter.problem(&data).minimise(truth[..1].to_vec()).unwrap();
+        let all = (1.0 + ZERO) * (2497.0 + crate::local::PLAUSIBLE * (2.0 * 2497.0f64).sqrt());
+        assert!(alone.chi2 < all, "all readings together do not tell: {} of {all}", alone.chi2);
+        let before = inverter.solution(&alone, &data).contacts;
+        assert!(inverter.follow_near(&readings, &before, &[]).unwrap().is_none());
+        let found = inverter.search_near(&readings, &before, &[]).unwrap().contacts;
+        assert_eq!(found.len(), 2, "{found:?}");
+        for (found, truth) in found.iter().zip(&truth) {
+            let off = found.position - truth.position;
+            assert!(off.x.abs() < 1e-4 && off.y.abs() < 1e-3, "{found:?}");
+            assert!((found.normal_force() + truth.force.z).abs() < 0.15, "{found:?}");
+        }
+    }
+
+    /// The lattice is as fine as the pattern is narrow, and starts keep their distance.
+    #[test]
+    fn starts_lie_as_close_as_the_pattern_demands() {
+        let model = thin(0.16);
+        let inverter = near(&model);
+        let truth = press(0.0011, 0.0007, 1.0);
+        let readings = read(&model, std::slice::from_ref(&truth), &mut random(3));
+        let data = inverter.data(&readings);
+        let problem = inverter.problem(&data);
+        let minimum = problem.minimise(vec![truth]).unwrap();
+        let step = inverter.pattern_step(&problem, &data, &minimum.contacts[0], &minimum.signal).unwrap();
+        // A wave of this pitch changes as much as it is strong within a sixth of it, which is finer than the finest lattice.
+        assert!((step - inverter.spacing / RINGS as f64).abs() < 1e-12, "{step}");
+        let starts = inverter.beside(&problem, &data, &minimum, 0).unwrap();
+        assert!((1..=STARTS).contains(&starts.len()));
+        for (i, a) in starts.iter().enumerate() {
+            assert!((a.position - minimum.contacts[0].position).norm() <= inverter.spacing * 1.001);
+            assert!(starts[..i].iter().all(|b| (a.position - b.position).norm() >= APART * step));
+        }
+    }
+}
