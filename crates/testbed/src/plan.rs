@@ -1,6 +1,7 @@
 //! What a testbed does to a skin, as a file says it.
 
 mod limits;
+mod numbers;
 mod step;
 mod step_file;
 mod steps;
@@ -14,8 +15,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::TestbedError;
 pub(crate) use limits::LONGEST;
-pub use step::{Action, Drawn, HEX_ARMS, Level, Levels, PressProfile, Step};
-use step_file::{OneOrMore, StepFile};
+use numbers::OneOrMore;
+pub use step::{Action, Drawn, HEX_ARMS, Level, Levels, PostureSet, PressProfile, Step, Strokes};
+use step_file::StepFile;
 pub use tip::PlanTip;
 
 const SCHEMA: &str = "dermis-plan/1";
@@ -175,7 +177,8 @@ impl Plan {
         for _ in 0..20 {
             let (length, speed) = ([0.004, 0.012], [0.005, 0.02]);
             steps.push(Action::Presses { count: 3, level: Level::Force(force), repeats: 1 }.into());
-            steps.push(Action::Slides { count: 1, force, length, speed }.into());
+            let strokes = Strokes::default();
+            steps.push(Action::Slides { count: 1, force, length, speed, strokes }.into());
             steps.push(Action::Idle { duration: 0.5 }.into());
         }
         let name = "random-touches".to_owned();

@@ -4,7 +4,7 @@
 //! choices of `draw` and the candidate locations of `candidates`). [`Timeline::at`] interpolates within a press: force and
 //! approach follow a raised cosine between the ends of its phases, so that no speed jumps.
 //! Assumptions: tips of one press act independently of each other; a slide runs at constant speed on a straight line that is
-//! projected to the surface.
+//! projected to the surface, and between postures the skin is turned in no time.
 //! Cost: a press is a few numbers; one instant takes a binary search and, for a depth, the model's force at it.
 
 use std::sync::Arc;
@@ -20,6 +20,7 @@ use crate::plan::{Level, PlanTip};
 
 mod candidates;
 mod draw;
+mod motion;
 mod schedule;
 #[cfg(test)]
 mod tests;
@@ -87,7 +88,11 @@ impl GroundTruth {
             repeat: self.repeat,
             phase: self.phase.code(),
             temperature: self.stimulus.temperature as f32,
-            gravity: VectorMsg::UNKNOWN,
+            // A plan that says nothing of gravity does not know of it.
+            gravity: match self.stimulus.gravity {
+                none if none == Vector3::zeros() => VectorMsg::UNKNOWN,
+                gravity => vector(&gravity),
+            },
             contacts: contacts.collect(),
         }
     }
@@ -143,6 +148,8 @@ struct Press {
     touches: Vec<Touch>,
     start: f64,
     keys: Vec<Key>,
+    /// \[m/s²\] in the frame of the link, where it is not that of the plan.
+    gravity: Option<Vector3<f64>>,
 }
 
 /// A plan carried out on a skin with one seed. Time runs from 0 to [`duration`](Self::duration).
@@ -204,6 +211,7 @@ impl Timeline {
             repeat: press.repeat,
             ..self.idle_moment()
         };
+        moment.stimulus.gravity = press.gravity.unwrap_or(self.gravity);
         // A smooth start and end: a stage does not change its speed in no time.
         let smooth = |x: f64| 0.5 - 0.5 * (std::f64::consts::PI * x.clamp(0.0, 1.0)).cos();
         let next = press.keys.partition_point(|key| key.end <= since);

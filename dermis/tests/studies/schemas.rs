@@ -387,7 +387,11 @@ fn a_plans_keys_are_those_that_its_reader_knows() {
         let properties = form["properties"].as_object().unwrap();
         let kind = properties["kind"]["const"].as_str().unwrap();
         let mut plan = toml(&root().join(file));
-        let foreign = if kind == "idle" { "count" } else { "duration" };
+        let foreign = match kind {
+            "idle" => "count",
+            "postures" => "shear",
+            _ => "duration",
+        };
         plan["steps"] = serde_json::json!([{ "kind": kind, foreign: 1 }]);
         let refusal = read(&toml::to_string(&plan).unwrap());
         let mut known = named(&refusal);

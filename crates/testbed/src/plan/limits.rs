@@ -77,6 +77,10 @@ pub(super) fn check(plan: &Plan) -> Result<(), (String, String)> {
                 limits(at("turn"), &turn.map(f64::abs), [0.0, 1e3], "rad")?;
                 listed(&levels.values)?;
             }
+            Action::Postures { yaw, roll, .. } => {
+                limits(at("yaw"), &yaw.map(f64::abs), [0.0, 1e3], "rad")?;
+                limits(at("roll"), &roll.map(f64::abs), [0.0, 1e3], "rad")?;
+            }
         }
         limits(at("diameter"), &step.profile.diameter, LENGTH, "m")?;
         limits(at("shear"), step.profile.shear.as_ref().map_or(&[], |s| s), [0.0, 1e3], "N/N")?;

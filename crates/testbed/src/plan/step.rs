@@ -88,6 +88,8 @@ pub enum Action {
         length: [f64; 2],
         /// \[m/s\] range of the speed.
         speed: [f64; 2],
+        /// How the slide goes on.
+        strokes: Strokes,
     },
     /// Several contacts at once, at random locations.
     Multi {
@@ -114,6 +116,55 @@ pub enum Action {
         /// What each place is pressed up to.
         levels: Levels,
     },
+    /// Nothing touches, and the skin is held still in one posture after another: gravity pulls another way in its frame. In posture (yaw, roll)
+    /// the skin is first turned by `roll` about the z axis of its link and then by `yaw` about the y axis of the rig, from where the plan's
+    /// gravity is what it says (straight down along z where it says nothing). Postures of opposite yaw whose rolls differ by half a turn are the
+    /// same as seen by the skin.
+    Postures {
+        /// \[rad\] range of the angle between the link's z axis and where it points in the plan's own posture.
+        yaw: [f64; 2],
+        /// \[rad\] range of the angle about the link's z axis.
+        roll: [f64; 2],
+        /// Which of these.
+        set: PostureSet,
+        /// \[s\] that each is held.
+        duration: f64,
+    },
+}
+
+/// Which postures of two ranges of angles are taken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PostureSet {
+    /// So many, drawn at random.
+    Drawn(u32),
+    /// So many angles of yaw, and so many of roll at each, in order, evenly from one end of the range to the other. Of a range of a whole turn
+    /// or more the end is left out: it is the beginning again.
+    Grid([u32; 2]),
+}
+
+/// How a slide goes on after it has begun.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Strokes {
+    /// Strokes one way, all in one line, each as long as the step says.
+    pub count: u32,
+    /// \[s\] range of how long the tip stops, pressing, after each stroke.
+    pub stop: [f64; 2],
+    /// How often the tip goes all strokes and back again; 0: one way only.
+    pub cycles: u32,
+}
+
+impl Default for Strokes {
+    fn default() -> Self {
+        Self { count: 1, stop: [0.0, 0.0], cycles: 0 }
+    }
+}
+
+impl Strokes {
+    /// Strokes of the whole slide, both ways.
+    #[must_use]
+    pub fn all(&self) -> u64 {
+        u64::from(self.count).saturating_mul(if self.cycles == 0 { 1 } else { 2 * u64::from(self.cycles) })
+    }
 }
 
 /// Arms that one to six tips sit on, counted in steps of 60° from the first: spread as evenly as six arms allow.

@@ -2,7 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::step::{Action, Drawn, Level, Levels, PressProfile, Step};
+use super::numbers::{OneOrMore, OneOrTwo};
+use super::step::{Action, Drawn, Level, Levels, PostureSet, PressProfile, Step, Strokes};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -15,6 +16,7 @@ enum Kind {
     Slides,
     Multi,
     Hex,
+    Postures,
 }
 
 impl Kind {
@@ -27,6 +29,7 @@ impl Kind {
             Self::Slides => "slides",
             Self::Multi => "multi",
             Self::Hex => "hex",
+            Self::Postures => "postures",
         }
     }
 
@@ -39,7 +42,9 @@ impl Kind {
             }
             Self::Grid => (&["pitch", "forces", "depths", "incremental", "repeats"], &PROFILE),
             Self::Locations => (&["at", "forces", "depths", "incremental", "repeats"], &PROFILE),
-            Self::Slides => (&["count", "force", "length", "speed", "diameter"], &[]),
+            Self::Slides => {
+                (&["count", "force", "length", "speed", "strokes", "stop", "cycles", "diameter"], &[])
+            }
             Self::Multi => {
                 (&["count", "contacts", "distance", "force", "depth", "forces", "depths"], &PROFILE)
             }
@@ -47,6 +52,7 @@ impl Kind {
                 &["count", "contacts", "radius", "turn", "forces", "depths", "incremental", "repeats"],
                 &PROFILE,
             ),
+            Self::Postures => (&["yaw", "roll", "count", "counts", "duration"], &[]),
         };
         [own, common].concat()
     }
@@ -59,54 +65,6 @@ impl Kind {
 
 /// A key that is wrong, and why.
 type Wrong = (&'static str, String);
-
-/// A number, or two of them.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(untagged, expecting = "a number, or two of them in brackets")]
-enum OneOrTwo {
-    One(f64),
-    Two([f64; 2]),
-}
-
-impl OneOrTwo {
-    fn both(self) -> [f64; 2] {
-        match self {
-            Self::One(value) => [value, value],
-            Self::Two(values) => values,
-        }
-    }
-}
-
-impl From<[f64; 2]> for OneOrTwo {
-    fn from([a, b]: [f64; 2]) -> Self {
-        if a == b { Self::One(a) } else { Self::Two([a, b]) }
-    }
-}
-
-/// A number, or some of them.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(untagged, expecting = "a number, or some of them in brackets")]
-pub(super) enum OneOrMore {
-    One(f64),
-    More(Vec<f64>),
-}
-
-impl OneOrMore {
-    pub(super) fn all(self) -> Vec<f64> {
-        match self {
-            Self::One(value) => vec![value],
-            Self::More(values) => values,
-        }
-    }
-
-    fn of(values: Vec<f64>) -> Option<Self> {
-        match values[..] {
-            [] => None,
-            [value] => Some(Self::One(value)),
-            _ => Some(Self::More(values)),
-        }
-    }
-}
 
 /// A step as files say it: every key that some kind of step has.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -163,6 +121,18 @@ pub(super) struct StepFile {
     radius: Option<OneOrTwo>,
     #[serde(skip_serializing_if = "Option::is_none")]
     turn: Option<OneOrTwo>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    strokes: Option<u32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    stop: Option<OneOrTwo>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    cycles: Option<u32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    yaw: Option<OneOrTwo>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    roll: Option<OneOrTwo>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    counts: Option<[u32; 2]>,
 }
 
 /// Keys of how it is pressed, the same for every kind of press that stands still.
@@ -198,6 +168,12 @@ impl StepFile {
             most_force: None,
             radius: None,
             turn: None,
+            strokes: None,
+            stop: None,
+            cycles: None,
+            yaw: None,
+            roll: None,
+            counts: None,
         }
     }
 
@@ -229,6 +205,12 @@ impl StepFile {
             ("most_force", self.most_force.is_some()),
             ("radius", self.radius.is_some()),
             ("turn", self.turn.is_some()),
+            ("strokes", self.strokes.is_some()),
+            ("stop", self.stop.is_some()),
+            ("cycles", self.cycles.is_some()),
+            ("yaw", self.yaw.is_some()),
+            ("roll", self.roll.is_some()),
+            ("counts", self.counts.is_some()),
         ];
         all.into_iter().filter_map(|(name, there)| there.then_some(name)).collect()
     }
@@ -262,6 +244,7 @@ impl StepFile {
                 force: self.force.ok_or_else(kind.missing("force"))?,
                 length: self.length.ok_or_else(kind.missing("length"))?,
                 speed: self.speed.ok_or_else(kind.missing("speed"))?,
+                strokes: self.strokes(),
             },
             Kind::Multi => Action::Multi {
                 count: self.count.ok_or_else(kind.missing("count"))?,
@@ -279,7 +262,36 @@ impl StepFile {
                 turn: self.turn.map_or([0.0; 2], OneOrTwo::both),
                 levels: self.levels()?,
             },
+            Kind::Postures => Action::Postures {
+                yaw: self.yaw.ok_or_else(kind.missing("yaw"))?.both(),
+                roll: self.roll.ok_or_else(kind.missing("roll"))?.both(),
+                set: self.postures()?,
+                duration: self.duration.ok_or_else(kind.missing("duration"))?,
+            },
         })
+    }
+
+    /// How a slide goes on: in one stroke and one way, unless it says otherwise.
+    fn strokes(&self) -> Strokes {
+        let once = Strokes::default();
+        Strokes {
+            count: self.strokes.unwrap_or(once.count),
+            stop: self.stop.map_or(once.stop, OneOrTwo::both),
+            cycles: self.cycles.unwrap_or(once.cycles),
+        }
+    }
+
+    /// Which postures: so many that are drawn, or a grid.
+    fn postures(&self) -> Result<PostureSet, Wrong> {
+        match (self.count, self.counts) {
+            (Some(count), None) => Ok(PostureSet::Drawn(count)),
+            (None, Some(counts)) => Ok(PostureSet::Grid(counts)),
+            (Some(_), Some(_)) => Err(("counts", "stands beside `count`: name one of them".to_owned())),
+            (None, None) => {
+                let kind = self.kind.name();
+                Err(("count", format!("is missing: a step of kind `{kind}` needs it, or `counts`")))
+            }
+        }
     }
 
     /// Single presses: to levels of a range, or to each that is listed.
@@ -393,13 +405,19 @@ impl From<Step> for StepFile {
             Action::Locations { at, levels } => {
                 lists(levels, Self { at: Some(at), ..Self::of(Kind::Locations) })
             }
-            Action::Slides { count, force, length, speed } => Self {
-                count: Some(count),
-                force: Some(force),
-                length: Some(length),
-                speed: Some(speed),
-                ..Self::of(Kind::Slides)
-            },
+            Action::Slides { count, force, length, speed, strokes } => {
+                let once = Strokes::default();
+                Self {
+                    count: Some(count),
+                    force: Some(force),
+                    length: Some(length),
+                    speed: Some(speed),
+                    strokes: (strokes.count != once.count).then_some(strokes.count),
+                    stop: (strokes.stop != once.stop).then_some(strokes.stop.into()),
+                    cycles: (strokes.cycles != once.cycles).then_some(strokes.cycles),
+                    ..Self::of(Kind::Slides)
+                }
+            }
             Action::Multi { count, contacts, distance, level } => {
                 let [least, most] = distance;
                 let distance = if most.is_finite() { OneOrTwo::Two(distance) } else { OneOrTwo::One(least) };
@@ -416,6 +434,14 @@ impl From<Step> for StepFile {
                 let (count, contacts) = (Some(count), Some(contacts));
                 let (radius, turn) = (Some(radius.into()), Some(turn.into()));
                 lists(levels, Self { count, contacts, radius, turn, ..Self::of(Kind::Hex) })
+            }
+            Action::Postures { yaw, roll, set, duration } => {
+                let (yaw, roll) = (Some(yaw.into()), Some(roll.into()));
+                let file = Self { yaw, roll, duration: Some(duration), ..Self::of(Kind::Postures) };
+                match set {
+                    PostureSet::Drawn(count) => Self { count: Some(count), ..file },
+                    PostureSet::Grid(counts) => Self { counts: Some(counts), ..file },
+                }
             }
         };
         let PressProfile {

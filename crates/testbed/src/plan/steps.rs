@@ -1,7 +1,7 @@
 //! What is possible in a step, and how many contacts it makes.
 
-use super::Plan;
-use super::step::{Action, Drawn, Level, Levels, PressProfile};
+use super::step::{Action, Drawn, Level, Levels, PostureSet, PressProfile, Strokes};
+use super::{PRESSES_MAX, Plan};
 use crate::TestbedError;
 
 type Checked<T = ()> = Result<T, TestbedError>;
@@ -95,13 +95,7 @@ impl Checker<'_> {
     /// Contacts that an action makes.
     fn action(&self, action: &Action) -> Checked<u64> {
         match action {
-            Action::Idle { duration } => {
-                if !(*duration > 0.0 && *duration <= 86_400.0) {
-                    return self
-                        .wrong("duration", format!("is {duration} s and must be positive, a day at most"));
-                }
-                Ok(0)
-            }
+            Action::Idle { duration } => self.duration(*duration).map(|()| 0),
             Action::Presses { count, level, repeats } => {
                 self.at_least_one("count", *count)?;
                 self.at_least_one("repeats", *repeats)?;
@@ -121,12 +115,14 @@ impl Checker<'_> {
                 self.locations(at)?;
                 Ok(at.len() as u64 * self.levels(levels)?)
             }
-            Action::Slides { count, force, length, speed } => {
+            Action::Slides { count, force, length, speed, strokes } => {
                 self.at_least_one("count", *count)?;
                 self.range("force", *force, "N")?;
                 self.range("length", *length, "m")?;
                 self.range("speed", *speed, "m/s")?;
-                Ok(u64::from(*count))
+                self.strokes(strokes)?;
+                // Each stroke takes as much memory as a press does.
+                Ok(u64::from(*count) * strokes.all())
             }
             Action::Multi { count, contacts, distance, level } => {
                 self.at_least_one("count", *count)?;
@@ -138,17 +134,53 @@ impl Checker<'_> {
                 self.contacts(*contacts, 100)?;
                 Ok(u64::from(*count) * u64::from(contacts[1]))
             }
-            Action::Hex { count, contacts, radius, turn: [from, to], levels } => {
+            Action::Hex { count, contacts, radius, turn, levels } => {
                 self.at_least_one("count", *count)?;
                 self.range("radius", *radius, "m")?;
                 self.contacts(*contacts, 6)?;
-                if !(from <= to && (to - from).is_finite()) {
-                    return self
-                        .wrong("turn", format!("[{from}, {to}] is not a range of angles: low ≤ high rad"));
-                }
+                self.angles("turn", *turn)?;
                 Ok(u64::from(*count) * u64::from(contacts[1]) * self.levels(levels)?)
             }
+            Action::Postures { yaw, roll, set, duration } => {
+                self.angles("yaw", *yaw)?;
+                self.angles("roll", *roll)?;
+                self.duration(*duration)?;
+                match set {
+                    PostureSet::Drawn(count) => {
+                        self.at_least_one("count", *count)?;
+                        Ok(u64::from(*count))
+                    }
+                    PostureSet::Grid([yaws, rolls]) => {
+                        self.at_least_one("counts[0]", *yaws)?;
+                        self.at_least_one("counts[1]", *rolls)?;
+                        Ok(u64::from(*yaws) * u64::from(*rolls))
+                    }
+                }
+            }
         }
+    }
+
+    fn duration(&self, duration: f64) -> Checked {
+        if duration > 0.0 && duration <= 86_400.0 {
+            return Ok(());
+        }
+        self.wrong("duration", format!("is {duration} s and must be positive, a day at most"))
+    }
+
+    fn angles(&self, field: &str, [low, high]: [f64; 2]) -> Checked {
+        if low <= high && (high - low).is_finite() {
+            return Ok(());
+        }
+        self.wrong(field, format!("[{low}, {high}] is not a range of angles: low ≤ high rad"))
+    }
+
+    fn strokes(&self, strokes: &Strokes) -> Checked {
+        self.at_least_one("strokes", strokes.count)?;
+        if strokes.all() > PRESSES_MAX {
+            let reason = format!("make {} strokes; {PRESSES_MAX} at most fit a recording", strokes.all());
+            return self.wrong(if strokes.cycles == 0 { "strokes" } else { "cycles" }, reason);
+        }
+        self.plan.check_durations(format!("steps[{}].stop", self.index), strokes.stop)
     }
 
     fn profile(&self, profile: &PressProfile) -> Checked {

@@ -17,7 +17,7 @@ fn refusals_name_file_field_and_remedy() {
     insta::assert_snapshot!(refused("force = [0.1, 0.5]", "force = [0.0, 0.5]"), @"plan plan.toml: field `steps[1].force`: [0, 0.5] is not a range: 0 < low ≤ high N");
     insta::assert_snapshot!(refused("forces = [0.2, 0.4]", "forces = []"), @"plan plan.toml: field `steps[2].forces`: is empty: name at least one");
     insta::assert_snapshot!(refused("contacts = [2, 3]", "contacts = [0, 3]"), @"plan plan.toml: field `steps[4].contacts`: [0, 3] is not a range: 1 ≤ low ≤ high ≤ 100");
-    insta::assert_snapshot!(refused("kind = \"slides\"", "kind = \"slide\""), @"plan plan.toml: field `steps[3].kind`: unknown variant `slide`, expected one of `idle`, `presses`, `grid`, `locations`, `places`, `slides`, `multi`, `hex`");
+    insta::assert_snapshot!(refused("kind = \"slides\"", "kind = \"slide\""), @"plan plan.toml: field `steps[3].kind`: unknown variant `slide`, expected one of `idle`, `presses`, `grid`, `locations`, `places`, `slides`, `multi`, `hex`, `postures`");
     insta::assert_snapshot!(refused("count = 4", "count = 4000000000"), @"plan plan.toml: field `steps`: make 8000000016 contacts; 1000000 at most fit a recording");
     insta::assert_snapshot!(refused("repeats = 2", "repeats = 0"), @"plan plan.toml: field `steps[1].repeats`: is 0 and must be at least 1");
     insta::assert_snapshot!(refused("seed = 3", "seed = \"three\""), @r#"plan plan.toml: field `seed`: invalid type: string "three", expected u64"#);
@@ -88,9 +88,55 @@ fn several_tips_refuse_what_cannot_be() {
     insta::assert_snapshot!(refused("distance = 0.04", "distance = 0.04\n        force = [1.0, 2.0]"), @"plan plan.toml: field `steps[1].forces`: names one of some: leave out the range `force` or `depth` beside it");
 }
 
+const MOVED: &str = r#"
+    schema = "dermis-plan/1"
+    name = "moved"
+    diameter = 0.004
+    [[steps]]
+    kind = "slides"
+    count = 2
+    force = [0.3, 0.5]
+    length = [0.002, 0.003]
+    speed = [0.02, 0.02]
+    strokes = 5
+    stop = 5.0
+    cycles = 2
+    [[steps]]
+    kind = "postures"
+    yaw = [-1.5708, 1.5708]
+    roll = [0.0, 6.2832]
+    counts = [13, 24]
+    duration = 0.5
+    [[steps]]
+    kind = "postures"
+    yaw = 0.5
+    roll = [0.0, 3.0]
+    count = 7
+    duration = 0.5
+"#;
+
+#[test]
+fn strokes_and_postures_refuse_what_cannot_be() {
+    let refused = |from: &str, to: &str| {
+        assert!(MOVED.contains(from), "{from} is not in the plan");
+        Plan::from_toml(&MOVED.replacen(from, to, 1), "plan.toml").unwrap_err().to_string()
+    };
+    insta::assert_snapshot!(refused("strokes = 5", "strokes = 0"), @"plan plan.toml: field `steps[0].strokes`: is 0 and must be at least 1");
+    insta::assert_snapshot!(refused("cycles = 2", "cycles = 4000000000"), @"plan plan.toml: field `steps[0].cycles`: make 40000000000 strokes; 1000000 at most fit a recording");
+    insta::assert_snapshot!(refused("stop = 5.0", "stop = [5.0, 1.0]"), @"plan plan.toml: field `steps[0].stop`: [5, 1] is not a range of durations: 0 ≤ low ≤ high ≤ 3600 s");
+    insta::assert_snapshot!(refused("yaw = [-1.5708, 1.5708]\n", ""), @"plan plan.toml: field `steps[1].yaw`: is missing: a step of kind `postures` needs it");
+    insta::assert_snapshot!(refused("[-1.5708, 1.5708]", "[1.5708, -1.5708]"), @"plan plan.toml: field `steps[1].yaw`: [1.5708, -1.5708] is not a range of angles: low ≤ high rad");
+    insta::assert_snapshot!(refused("6.2832", "6283.2"), @"plan plan.toml: field `steps[1].roll`: is 6.2832e3 rad and must be 0 to 1000 rad");
+    insta::assert_snapshot!(refused("[13, 24]", "[13, 0]"), @"plan plan.toml: field `steps[1].counts[1]`: is 0 and must be at least 1");
+    insta::assert_snapshot!(refused("[13, 24]", "[13, 24]\n    count = 3"), @"plan plan.toml: field `steps[1].counts`: stands beside `count`: name one of them");
+    insta::assert_snapshot!(refused("counts = [13, 24]\n", ""), @"plan plan.toml: field `steps[1].count`: is missing: a step of kind `postures` needs it, or `counts`");
+    insta::assert_snapshot!(refused("duration = 0.5", "duration = 0.0"), @"plan plan.toml: field `steps[1].duration`: is 0 s and must be positive, a day at most");
+    insta::assert_snapshot!(refused("duration = 0.5", "duration = 0.5\n    force = [0.1, 0.2]"), @"plan plan.toml: field `steps[1].force`: is no key of a step of kind `postures`, which has yaw, roll, count, counts, duration");
+}
+
 #[test]
 fn what_is_written_reads_back() {
-    for text in [PLAN, MORE, TOGETHER] {
+    for text in [PLAN, MORE, TOGETHER, MOVED] {
         let plan = Plan::from_toml(text, "plan.toml").unwrap();
         let again = toml::to_string(&plan).unwrap();
         assert_eq!(Plan::from_toml(&again, "plan.toml").unwrap_or_else(|e| panic!("{e}\n{again}")), plan);
@@ -104,7 +150,7 @@ fn steps_refuse_what_does_not_belong_to_them() {
         Plan::from_toml(&MORE.replacen(from, to, 1), "plan.toml").unwrap_err().to_string()
     };
     insta::assert_snapshot!(refused("count = 3", "count = 3\npitch = 0.1"), @"plan plan.toml: field `steps[2].pitch`: is no key of a step of kind `presses`, which has count, force, depth, forces, depths, incremental, repeats, diameter, shear, shear_direction, load, hold, unload, gap, least_force, most_force");
-    insta::assert_snapshot!(refused("count = 3", "count = 3\ncolour = 1"), @"plan plan.toml: field `steps[2].colour`: unknown field `colour`, expected one of `kind`, `duration`, `count`, `pitch`, `at`, `contacts`, `distance`, `force`, `depth`, `forces`, `depths`, `incremental`, `repeats`, `length`, `speed`, `diameter`, `shear`, `shear_direction`, `load`, `hold`, `unload`, `gap`, `least_force`, `most_force`, `radius`, `turn`");
+    insta::assert_snapshot!(refused("count = 3", "count = 3\ncolour = 1"), @"plan plan.toml: field `steps[2].colour`: unknown field `colour`, expected one of `kind`, `duration`, `count`, `pitch`, `at`, `contacts`, `distance`, `force`, `depth`, `forces`, `depths`, `incremental`, `repeats`, `length`, `speed`, `diameter`, `shear`, `shear_direction`, `load`, `hold`, `unload`, `gap`, `least_force`, `most_force`, `radius`, `turn`, `strokes`, `stop`, `cycles`, `yaw`, `roll`, `counts`");
     insta::assert_snapshot!(refused("count = 3", ""), @"plan plan.toml: field `steps[2].count`: is missing: a step of kind `presses` needs it");
     insta::assert_snapshot!(refused("count = 3", "count = 3\nforce = [0.1, 0.2]"), @"plan plan.toml: field `steps[2].depth`: stands beside `force`: name one of them");
     insta::assert_snapshot!(refused("forces = [0.1]", ""), @"plan plan.toml: field `steps[1].forces`: is missing: a step of kind `locations` needs it, or `depths`");

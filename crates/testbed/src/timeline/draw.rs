@@ -38,6 +38,11 @@ impl<'a> Draw<'a> {
         self.rng.random_range(low..=high)
     }
 
+    /// Of what not every press draws.
+    pub(super) fn more_within(&mut self, [low, high]: [f64; 2]) -> f64 {
+        self.more.random_range(low..=high)
+    }
+
     pub(super) fn level(&mut self, range: &Level<[f64; 2]>) -> Level<f64> {
         range.map(|range| match self.plan.force_distribution {
             ForceDistribution::Uniform => self.within(*range),

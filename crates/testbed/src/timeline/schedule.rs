@@ -13,9 +13,12 @@ use rand::seq::SliceRandom;
 
 use super::candidates::CandidateLocations;
 use super::draw::{Draw, EFFORT};
+use super::motion::{Stroke, gravity_in, postures, strokes_of};
 use super::{Key, Press, Timeline, Touch};
 use crate::TestbedError;
-use crate::plan::{Action, Drawn, HEX_ARMS, LONGEST, Level, Levels, Plan, PressProfile, Step};
+use crate::plan::{
+    Action, Drawn, HEX_ARMS, LONGEST, Level, Levels, Plan, PostureSet, PressProfile, Step, Strokes,
+};
 
 /// \[m\] off the surface that a named place may lie: rounding.
 const OFF_SURFACE: f64 = 1e-4;
@@ -51,15 +54,16 @@ impl Timeline {
         Ok(timeline)
     }
 
-    /// A stretch of nothing.
-    fn idle(&mut self, duration: f64) {
+    /// A stretch of nothing, at a location of its own where gravity is not the plan's.
+    fn idle(&mut self, duration: f64, posture: Option<(u32, Vector3<f64>)>) {
         self.presses.push(Press {
             number: self.count,
-            location: 0,
+            location: posture.map_or(0, |(location, _)| location),
             repeat: 0,
             touches: Vec::new(),
             start: self.duration,
             keys: Vec::new(),
+            gravity: posture.map(|(_, gravity)| gravity),
         });
         self.duration += duration;
     }
@@ -82,7 +86,7 @@ impl Schedule<'_> {
         let profile = &step.profile;
         match &step.action {
             Action::Idle { duration } => {
-                self.timeline.idle(*duration);
+                self.timeline.idle(*duration, None);
                 Ok(())
             }
             Action::Presses { count, level, repeats } => {
@@ -98,8 +102,8 @@ impl Schedule<'_> {
             Action::Locations { at, levels } => {
                 at.iter().enumerate().try_for_each(|(j, at)| self.named_place(j, *at, levels, profile))
             }
-            Action::Slides { count, force, length, speed } => {
-                (0..*count).try_for_each(|_| self.slide(*force, *length, *speed, profile))
+            Action::Slides { count, force, length, speed, strokes } => {
+                (0..*count).try_for_each(|_| self.slide(*force, [*length, *speed], strokes, profile))
             }
             Action::Multi { count, contacts, distance, level } => {
                 (0..*count).try_for_each(|_| self.multi(*contacts, *distance, level, profile))
@@ -107,7 +111,24 @@ impl Schedule<'_> {
             Action::Hex { count, contacts, radius, turn, levels } => {
                 (0..*count).try_for_each(|_| self.hex(*contacts, [*radius, *turn], levels, profile))
             }
+            Action::Postures { yaw, roll, set, duration } => self.postures([*yaw, *roll], *set, *duration),
         }
+    }
+
+    /// Holds the skin in one posture after another. Each has a location of its own, so that data sets can be split by them.
+    fn postures(
+        &mut self,
+        ranges: [[f64; 2]; 2],
+        set: PostureSet,
+        duration: f64,
+    ) -> Result<(), TestbedError> {
+        let upright = self.timeline.gravity;
+        for angles in postures(ranges, set, &mut self.draw) {
+            self.check_bounds()?;
+            self.location += 1;
+            self.timeline.idle(duration, Some((self.location, gravity_in(&upright, angles))));
+        }
+        Ok(())
     }
 
     fn presses_at_one_location(
@@ -124,7 +145,7 @@ impl Schedule<'_> {
             let level = self.draw.level(level);
             let touch = self.draw.touch(at, level, diameter, profile);
             self.check_depth(&touch)?;
-            self.press(profile, repeat, vec![touch], None, &[1.0]);
+            self.press(profile, repeat, vec![touch], &[], &[1.0]);
         }
         Ok(())
     }
@@ -215,7 +236,7 @@ impl Schedule<'_> {
                 touches.iter().try_for_each(|touch| self.check_depth(touch))?;
                 let staircase: Vec<f64> =
                     if levels.incremental { values.iter().map(|v| v / value).collect() } else { vec![1.0] };
-                self.press(profile, repeat, touches, None, &staircase);
+                self.press(profile, repeat, touches, &[], &staircase);
             }
         }
         Ok(())
@@ -247,21 +268,23 @@ impl Schedule<'_> {
     fn slide(
         &mut self,
         force: [f64; 2],
-        length: [f64; 2],
-        speed: [f64; 2],
+        [length, speed]: [[f64; 2]; 2],
+        strokes: &Strokes,
         profile: &PressProfile,
     ) -> Result<(), TestbedError> {
         self.check_bounds()?;
-        let (from, to) = self.draw.path(length).ok_or_else(|| {
-            let reason = format!("no way of {} m fits on the surface within the margin", length[0]);
+        let way = length.map(|one| one * f64::from(strokes.count));
+        let (from, to) = self.draw.path(way).ok_or_else(|| {
+            let reason = format!("no way of {} m fits on the surface within the margin", way[0]);
             self.draw.plan.wrong(format!("steps[{}].length", self.step), reason)
         })?;
         self.location += 1;
         let duration = (to - from).norm() / self.draw.within(speed);
+        let strokes = strokes_of(strokes, duration, &mut self.draw);
         let level = self.draw.level(&Level::Force(force));
         let diameter = self.draw.diameter(profile);
         let touch = Touch { from, to, level, diameter, shear: Vector3::zeros() };
-        self.press(profile, 0, vec![touch], Some(duration), &[1.0]);
+        self.press(profile, 0, vec![touch], &strokes, &[1.0]);
         Ok(())
     }
 
@@ -289,7 +312,7 @@ impl Schedule<'_> {
             self.check_depth(&touch)?;
             touches.push(touch);
         }
-        self.press(profile, 0, touches, None, &[1.0]);
+        self.press(profile, 0, touches, &[], &[1.0]);
         Ok(())
     }
 
@@ -299,7 +322,7 @@ impl Schedule<'_> {
         profile: &PressProfile,
         repeat: u32,
         touches: Vec<Touch>,
-        slide: Option<f64>,
+        slide: &[Stroke],
         staircase: &[f64],
     ) {
         let steps = self.within_forces(profile, &touches, staircase);
@@ -327,18 +350,20 @@ impl Schedule<'_> {
         let sheared = touches.iter().any(|touch| touch.shear != Vector3::zeros());
         let mut key = Key { end: approach, phase: Phase::Load, level: 0.0, shear: 0.0, slide: 0.0 };
         for (i, step) in steps.iter().enumerate() {
-            let [load, hold] = if i == 0 {
-                [load, hold]
-            } else {
-                [loaded, held].map(|[low, high]| draw.more.random_range(low..=high))
-            };
+            let [load, hold] =
+                if i == 0 { [load, hold] } else { [loaded, held].map(|range| draw.more_within(range)) };
             key = go(load, Key { phase: Phase::Load, level: *step, ..key });
-            key = match slide {
-                Some(duration) => go(duration, Key { phase: Phase::Slide, slide: 1.0, ..key }),
-                None => go(hold, Key { phase: Phase::Hold, ..key }),
-            };
+            if slide.is_empty() {
+                key = go(hold, Key { phase: Phase::Hold, ..key });
+            }
+            for stroke in slide {
+                key = go(stroke.duration, Key { phase: Phase::Slide, slide: stroke.to, ..key });
+                if stroke.stop > 0.0 {
+                    key = go(stroke.stop, Key { phase: Phase::Hold, ..key });
+                }
+            }
             if sheared {
-                let [load, hold] = [loaded, held].map(|[low, high]| draw.more.random_range(low..=high));
+                let [load, hold] = [loaded, held].map(|range| draw.more_within(range));
                 key = go(load, Key { phase: Phase::Load, shear: *step, ..key });
                 key = go(hold, Key { phase: Phase::Hold, ..key });
             }
@@ -353,6 +378,7 @@ impl Schedule<'_> {
             touches,
             start: timeline.duration,
             keys,
+            gravity: None,
         });
         timeline.duration += end + gap;
     }

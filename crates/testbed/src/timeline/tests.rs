@@ -519,3 +519,101 @@ proptest! {
         }
     }
 }
+
+/// The thesis' way for tracking: so far, a stop, and again, forth and back.
+#[test]
+fn a_slide_stops_after_each_stroke_and_comes_back() {
+    let steps = "[[steps]]\nkind = \"slides\"\ncount = 1\nforce = [0.3, 0.3]\nlength = [0.004, 0.004]\nspeed = [0.04, 0.04]\n\
+                 strokes = 3\nstop = 0.5\ncycles = 2\n";
+    let timeline = carried_out(steps).unwrap();
+    assert_eq!(timeline.presses(), 1);
+    let Touch { from, to, .. } = timeline.presses[0].touches[0].clone();
+    assert!(((to - from).norm() - 0.012).abs() < 1e-12, "flat: three strokes are the whole way");
+    // Places where it stops, in order, and how many milliseconds it stops and slides.
+    let (mut stops, mut stopped, mut slid) = (Vec::<u32>::new(), 0, 0);
+    let mut last = GroundTruth::default();
+    for moment in moments(&timeline) {
+        if let Some(contact) = moment.stimulus.contacts.first() {
+            if let Some(before) = last.stimulus.contacts.first() {
+                let way = (contact.position - before.position).norm();
+                assert!(way < 0.04e-3 * 1.001, "faster than it may: {way} m in a millisecond");
+            }
+            assert!(
+                matches!(moment.phase, Phase::Load | Phase::Unload) || (contact.force.z + 0.3).abs() < 1e-12
+            );
+        }
+        slid += u32::from(moment.phase == Phase::Slide);
+        if moment.phase == Phase::Hold {
+            stopped += 1;
+            let end = (moment.stimulus.contacts[0].position - from).norm() / 0.004;
+            assert!((end - end.round()).abs() < 1e-9, "it stops between strokes, at {end}");
+            if last.phase != Phase::Hold {
+                stops.push(end.round() as u32);
+            }
+        }
+        last = moment;
+    }
+    assert_eq!(stops, [1, 2, 3, 2, 1, 0, 1, 2, 3, 2, 1, 0]);
+    // Twelve stops of half a second, twelve strokes of 4 mm at 40 mm/s; one reading each at the ends.
+    assert!((5988..=6012).contains(&stopped) && (1188..=1212).contains(&slid), "{stopped} {slid}");
+    // A slide that does not stop and does not come back is what it was before there were strokes.
+    let plain = steps.split("strokes").next().unwrap();
+    let once = carried_out(&format!("{plain}strokes = 1\nstop = 0.0\ncycles = 0\n")).unwrap();
+    assert_eq!(once.presses, carried_out(plain).unwrap().presses);
+    assert!(
+        carried_out(&steps.replace("strokes = 3", "strokes = 30"))
+            .unwrap_err()
+            .contains("no way of 0.12 m fits")
+    );
+}
+
+/// Gravity in the frame of the link: of Ry(yaw) Rz(roll), g (sin yaw cos roll, −sin yaw sin roll, −cos yaw).
+#[test]
+fn postures_turn_gravity_in_the_frame_of_the_link() {
+    let steps = |set: &str| {
+        format!(
+            "[[steps]]\nkind = \"postures\"\nyaw = [-1.5708, 1.5708]\nroll = [0.0, 6.2832]\n{set}\nduration = 0.05\n"
+        )
+    };
+    let of = |timeline: &Timeline| -> Vec<(u32, Vector3<f64>)> {
+        let mut seen: Vec<(u32, Vector3<f64>)> = Vec::new();
+        for moment in moments(timeline).iter().take_while(|m| m.location > 0) {
+            assert!(moment.phase == Phase::Idle && moment.stimulus.contacts.is_empty());
+            if seen.last().is_none_or(|(location, _)| *location != moment.location) {
+                seen.push((moment.location, moment.stimulus.gravity));
+            }
+        }
+        seen
+    };
+    let grid = carried_out(&steps("counts = [3, 4]")).unwrap();
+    let found = of(&grid);
+    assert_eq!(found.iter().map(|(location, _)| *location).collect::<Vec<_>>(), (1..=12).collect::<Vec<_>>());
+    let g = 9.806_65;
+    for (k, (_, gravity)) in found.iter().enumerate() {
+        let yaw = [-1.5708, 0.0, 1.5708f64][k / 4];
+        // The end of the turn is its beginning, and is left out.
+        let roll = 6.2832 / 4.0 * (k % 4) as f64;
+        let wanted = Vector3::new(yaw.sin() * roll.cos(), -yaw.sin() * roll.sin(), -yaw.cos()) * g;
+        assert!((gravity - wanted).norm() < 1e-9, "{k}: {gravity:?} and not {wanted:?}");
+    }
+    // What is drawn lies all over the half turn, and is as long as gravity.
+    let drawn = of(&carried_out(&steps("count = 200")).unwrap());
+    assert_eq!(drawn.len(), 200);
+    assert!(drawn.iter().all(|(_, gravity)| (gravity.norm() - g).abs() < 1e-9 && gravity.z <= 1e-3));
+    for axis in [0, 1] {
+        let values = drawn.iter().map(|(_, gravity)| gravity[axis]);
+        let (low, high) = values.fold((0.0f64, 0.0f64), |(low, high), v| (low.min(v), high.max(v)));
+        assert!(low < -0.8 * g && high > 0.8 * g, "{low} to {high}");
+    }
+    // A press afterwards is in the plan's own posture, and the ground truth says so: it does not know of any here.
+    let then =
+        format!("{}[[steps]]\nkind = \"presses\"\ncount = 1\nforce = [0.5, 0.5]\n", steps("counts = [3, 4]"));
+    let timeline = carried_out(&then).unwrap();
+    let skin = testing::skin(100.0);
+    let said = |moment: &GroundTruth| moment.message(&skin, timeline.model.surface(), "session", 1).gravity;
+    let touched = timeline.first_touch();
+    assert!(
+        touched.location == 13 && touched.stimulus.gravity == Vector3::zeros() && said(&touched).x.is_nan()
+    );
+    assert!((said(&timeline.at(0.01)).x + g).abs() < 1e-6, "yaw of -90 degrees: the x axis points up");
+}
