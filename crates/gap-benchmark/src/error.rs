@@ -28,6 +28,14 @@ pub enum BenchmarkError {
         /// What there is.
         known: String,
     },
+    /// The model of a design that the benchmark does not compute itself cannot be had.
+    #[error("skin `{skin}`: the model of its design, which the benchmark is handed, cannot be had: {reason}")]
+    Design {
+        /// Name of the skin.
+        skin: String,
+        /// Why not.
+        reason: String,
+    },
     /// A file or folder cannot be read or written.
     #[error("{path}: cannot be {action}: {source}")]
     Io {

@@ -12,7 +12,7 @@ mod tip;
 use std::sync::Arc;
 
 use dermis_model::{ForwardModel, Indentation, Stimulus};
-use dermis_skin::{ModelError, SkinDescription, Surface, SurfaceSpec};
+use dermis_skin::{ModelError, SkinDescription, Surface, SurfaceSpec, TipKind};
 use nalgebra::{Point3, Rotation2, Vector2, Vector3};
 use rand::Rng;
 
@@ -84,11 +84,13 @@ impl LayerDevice {
         let wide = matches!(skin.surface, SurfaceSpec::Rectangle { size, .. } if size[1] > 0.004);
         Rig {
             diameter: 0.004,
+            tip: TipKind::Sphere,
             force: [0.02, 1.5],
             margin: if wide { 0.002 } else { 0.0 },
             slide: [0.004, 0.012],
             rate: skin.rate.min(100.0),
             size,
+            loudest: f64::INFINITY,
         }
     }
 

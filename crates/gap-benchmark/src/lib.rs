@@ -1,17 +1,23 @@
 //! The "real" side of the check of the tool that diagnoses gaps between simulated and real skins.
 //!
-//! A [`ReferenceDevice`] is a skin that is pressed as a rig would press it ([`Script`]), computed by other means than the models that
-//! the tool works with: another discretisation, other laws of contact, material and electronics, taken from the literature and
-//! not from any model of this workspace. What makes it differ from its design, its [`Cause`]s, is withheld: a benchmark [`set`]
-//! of recordings is published with the hash of each ground truth, and [`score`]d after the tool has written its reports.
+//! A [`ReferenceDevice`] is a skin that is pressed as a rig would press it ([`Script`]). Layers and shells are computed by other
+//! means than the models that the tool works with: another discretisation, other laws of contact, material and electronics, taken
+//! from the literature and not from any model of this workspace. Sheets over foam and cameras are by design what their family's
+//! own model answers ([`Designs`]); how a device differs from that is computed here, by laws of its own, as for the others. What
+//! makes it differ from its design, its [`Cause`]s, is withheld: a benchmark [`set`] of recordings is published with the hash of
+//! each ground truth, and [`score`]d after the tool has written its reports.
 //!
 //! No crate but the program and tests of the check may import this one, and the tool never (`cargo xtask layers`).
 
+mod camera;
 mod cause;
 mod common;
+mod designs;
 mod error;
+mod fabric;
 mod laws;
 mod layer;
+mod loads;
 mod memory;
 mod record;
 pub mod score;
@@ -27,6 +33,7 @@ use rand::{Rng, SeedableRng};
 use serde::{Deserialize, Serialize};
 
 pub use cause::{Cause, CauseInfo, Cell, parameters};
+pub use designs::{Designs, Make};
 pub use error::BenchmarkError;
 pub use record::record;
 pub use script::{Climate, Instant, Rig, Script};
@@ -94,7 +101,47 @@ pub trait ReferenceDevice: Send + Sync {
     fn readings(&self, script: &Script, noise: Option<Noise>) -> Result<Vec<f64>, BenchmarkError>;
 }
 
-/// The reference device that is like a skin.
+/// What reference devices are like.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    /// A soft layer over elements that read pressure.
+    Layer,
+    /// A clamped shell with strain gauges.
+    Shell,
+    /// A sheet over foam with electrodes.
+    Fabric,
+    /// A camera inside an elastomer.
+    Camera,
+}
+
+impl Kind {
+    fn of(skin: &SkinDescription) -> Result<Self, BenchmarkError> {
+        if camera::CameraDevice::is_like(skin) {
+            Ok(Self::Camera)
+        } else if fabric::FabricDevice::is_like(skin) {
+            Ok(Self::Fabric)
+        } else if layer::LayerDevice::is_like(skin) {
+            Ok(Self::Layer)
+        } else if shell::ShellDevice::is_like(skin) {
+            Ok(Self::Shell)
+        } else {
+            Err(unlike(skin))
+        }
+    }
+
+    const fn causes(self) -> &'static [CauseInfo] {
+        match self {
+            Self::Layer => layer::LayerDevice::causes(),
+            Self::Shell => shell::ShellDevice::causes(),
+            Self::Fabric => fabric::CAUSES,
+            Self::Camera => camera::CAUSES,
+        }
+    }
+
+    const ALL: [Self; 4] = [Self::Layer, Self::Shell, Self::Fabric, Self::Camera];
+}
+
+/// The reference device that is like a skin. Sheets over foam and cameras are by design as `designs` says.
 ///
 /// # Errors
 ///
@@ -103,12 +150,14 @@ pub fn reference_device(
     skin: &SkinDescription,
     numerics: &Numerics,
     causes: &[Cause],
+    designs: &Designs<'_>,
 ) -> Result<Box<dyn ReferenceDevice>, BenchmarkError> {
-    if layer::LayerDevice::is_like(skin) {
-        Ok(Box::new(layer::LayerDevice::new(skin, numerics, causes)?))
-    } else {
-        Ok(Box::new(shell::ShellDevice::new(skin, numerics, causes)?))
-    }
+    Ok(match Kind::of(skin)? {
+        Kind::Layer => Box::new(layer::LayerDevice::new(skin, numerics, causes)?),
+        Kind::Shell => Box::new(shell::ShellDevice::new(skin, numerics, causes)?),
+        Kind::Fabric => Box::new(fabric::FabricDevice::new(skin, numerics, causes, designs)?),
+        Kind::Camera => Box::new(camera::CameraDevice::new(skin, causes, designs)?),
+    })
 }
 
 /// Where a cause sits.
@@ -138,10 +187,11 @@ pub fn region(skin: &SkinDescription, cause: &Cause) -> Option<Region> {
             names: which.into_iter().map(|c| channels[c].name.clone()).collect(),
         });
     }
-    if layer::LayerDevice::is_like(skin) {
-        layer::LayerDevice::place(skin, cause)
-    } else {
-        shell::ShellDevice::place(skin, cause)
+    match Kind::of(skin).ok()? {
+        Kind::Layer => layer::LayerDevice::place(skin, cause),
+        Kind::Shell => shell::ShellDevice::place(skin, cause),
+        Kind::Fabric => fabric::place(skin, cause),
+        Kind::Camera => camera::place(skin, cause),
     }
 }
 
@@ -151,20 +201,18 @@ pub fn region(skin: &SkinDescription, cause: &Cause) -> Option<Region> {
 ///
 /// [`BenchmarkError`] where no reference device is like it.
 pub fn causes(skin: &SkinDescription) -> Result<&'static [CauseInfo], BenchmarkError> {
-    if layer::LayerDevice::is_like(skin) {
-        Ok(layer::LayerDevice::causes())
-    } else if shell::ShellDevice::is_like(skin) {
-        Ok(shell::ShellDevice::causes())
-    } else {
-        Err(unlike(skin))
-    }
+    Ok(Kind::of(skin)?.causes())
 }
 
 /// What cases of a cause count as; `None` of a cause that no reference device has.
 #[must_use]
 pub fn cell_of(id: &str) -> Option<Cell> {
-    let all = layer::LayerDevice::causes().iter().chain(shell::ShellDevice::causes());
-    all.into_iter().find(|k| k.id == id).map(|k| k.cell)
+    every_cause().find(|k| k.id == id).map(|k| k.cell)
+}
+
+/// The causes of all reference devices; what several have stands in it as often.
+fn every_cause() -> impl Iterator<Item = &'static CauseInfo> {
+    Kind::ALL.into_iter().flat_map(Kind::causes)
 }
 
 /// What a rig presses such a skin with, `size` times the usual 150 presses.
@@ -173,17 +221,20 @@ pub fn cell_of(id: &str) -> Option<Cell> {
 ///
 /// [`BenchmarkError`] where no reference device is like it.
 pub fn rig(skin: &SkinDescription, size: f64) -> Result<Rig, BenchmarkError> {
-    causes(skin)?;
-    Ok(if layer::LayerDevice::is_like(skin) {
-        layer::LayerDevice::rig(skin, size)
-    } else {
-        shell::ShellDevice::rig(skin, size)
+    Ok(match Kind::of(skin)? {
+        Kind::Layer => layer::LayerDevice::rig(skin, size),
+        Kind::Shell => shell::ShellDevice::rig(skin, size),
+        Kind::Fabric => fabric::rig(skin, size),
+        Kind::Camera => camera::rig(skin, size),
     })
 }
 
-/// A number of the medium.
+/// A number of the medium: of a nested table by its path, as `foam.thickness`.
 pub(crate) fn number(skin: &SkinDescription, key: &str) -> Result<f64, BenchmarkError> {
-    let value = skin.medium.get(key).and_then(|v| v.as_float().or(v.as_integer().map(|i| i as f64)));
+    let mut parts = key.split('.');
+    let first = parts.next().and_then(|part| skin.medium.get(part));
+    let value = parts.fold(first, |value, part| value.and_then(|v| v.get(part)));
+    let value = value.and_then(|v| v.as_float().or(v.as_integer().map(|i| i as f64)));
     value.ok_or_else(|| BenchmarkError::skin(skin, &format!("medium.{key}"), "is missing, or no number"))
 }
 
@@ -191,7 +242,8 @@ fn unlike(skin: &SkinDescription) -> BenchmarkError {
     BenchmarkError::skin(
         skin,
         "surface",
-        "no reference device is like it: there are flat layers that read in Pa, and clamped panels that read strain",
+        "no reference device is like it: there are flat layers that read in Pa, clamped panels that read strain, sheets over foam \
+         whose electrodes read each other's voltages, and cameras whose pictures are read in blocks",
     )
 }
 

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use dermis_model::{ForwardModel, Stimulus};
+use dermis_skin::TipKind;
 use dermis_testbed::{GroundTruth, Phase, Plan, Timeline};
 
 use crate::BenchmarkError;
@@ -21,8 +22,10 @@ pub enum Climate {
 /// What a rig presses with.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Rig {
-    /// \[m\] of the spherical tip.
+    /// \[m\] of the tip.
     pub diameter: f64,
+    /// Its shape.
+    pub tip: TipKind,
     /// \[N\] least and greatest pressing force.
     pub force: [f64; 2],
     /// \[m\] that contacts keep from the rim.
@@ -33,6 +36,20 @@ pub struct Rig {
     pub rate: f64,
     /// How many presses, compared to the usual 150.
     pub size: f64,
+    /// Noise of a case at most, in multiples of the skin's: more of it would bury every cause of a skin that is noisy by itself.
+    pub loudest: f64,
+}
+
+impl Rig {
+    /// Its tip in the words of a plan.
+    fn tip(&self) -> String {
+        match self.tip {
+            TipKind::Sphere => format!("diameter = {:?}", self.diameter),
+            TipKind::FlatPunch => {
+                format!("tip = {{ shape = {{ shape = \"flat-punch\", diameter = {:?} }} }}", self.diameter)
+            }
+        }
+    }
 }
 
 /// One instant.
@@ -154,8 +171,9 @@ impl Script {
             }
             let Part { seed, timing, steps, .. } = part;
             let text = format!(
-                "schema = \"dermis-plan/1\"\nname = \"part-{index}\"\ndiameter = {:?}\nmargin = {:?}\nforce_distribution = \"uniform\"\n{timing}{steps}",
-                rig.diameter, rig.margin
+                "schema = \"dermis-plan/1\"\nname = \"part-{index}\"\n{}\nmargin = {:?}\nforce_distribution = \"uniform\"\n{timing}{steps}",
+                rig.tip(),
+                rig.margin
             );
             let plan = Plan::from_toml(&text, "script")?;
             let timeline = Timeline::new(&plan, model, seed)?;

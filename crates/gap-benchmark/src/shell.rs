@@ -10,7 +10,7 @@ mod plate;
 use std::sync::Arc;
 
 use dermis_model::{ForwardModel, Indentation, Stimulus};
-use dermis_skin::{ModelError, SkinDescription, Surface};
+use dermis_skin::{ModelError, SkinDescription, Surface, TipKind};
 use nalgebra::{Point3, Vector3};
 use rand::Rng;
 
@@ -66,11 +66,13 @@ impl ShellDevice {
     pub fn rig(skin: &SkinDescription, size: f64) -> Rig {
         Rig {
             diameter: 0.010,
+            tip: TipKind::Sphere,
             force: [1.0, 34.0],
             margin: 0.0,
             slide: [0.006, 0.015],
             rate: skin.rate.min(100.0),
             size,
+            loudest: f64::INFINITY,
         }
     }
 

@@ -59,7 +59,7 @@ pub use diagnose::{Diagnosis, Memory, Options, calibrate, diagnose};
 pub use error::GapError;
 pub use experiments::Experiment;
 pub use noise::Gap;
-pub use read::read;
+pub use read::{read, touch};
 pub use recording::{FrameLabel, Problem, Recording, Zero};
 pub use report::*;
 pub use rivals::{Rival, Shape, Structure};

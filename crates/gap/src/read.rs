@@ -12,6 +12,8 @@ use crate::GapError;
 use crate::constants::reading::{CHANGES, HELD, MILLIMETRES, OFF_SURFACE, PULLS, TIP, WRONG_FRAME};
 use crate::recording::{FrameLabel, Problem, Recording};
 
+pub use labelled::touch;
+
 /// Reads labelled bags of one skin. Ground truth is `dermis_msgs/msg/Indentation`, or what a robot's and a force sensor's topics
 /// say by `map`. `instance` names the device, where a bag holds several of the skin's type.
 ///

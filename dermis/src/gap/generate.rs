@@ -9,6 +9,7 @@ use dermis_studies::gap::generation::{Request, generate};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::output;
+use crate::registry::families;
 
 /// What to make.
 #[derive(Args)]
@@ -26,7 +27,7 @@ pub fn run(options: &Options) -> Result<()> {
         .with_style(ProgressStyle::with_template("cases {wide_bar} {human_pos}/{human_len}, {eta} left")?);
     progress.tick();
     let stop = crate::interrupt::stop_on_interrupt()?;
-    let found = generate(&options.request, |done| {
+    let found = generate(&options.request, &families(), |done| {
         progress.set_position(done as u64);
         !stop.load(Ordering::Acquire)
     })?;

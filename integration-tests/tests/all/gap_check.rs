@@ -12,12 +12,13 @@ fn gap() -> Command {
 }
 
 fn make(what: &[&str], dir: &Path) -> serde_json::Value {
+    make_of(&root().join("launch/skins/baro-line.toml"), what, dir)
+}
+
+fn make_of(skin: &Path, what: &[&str], dir: &Path) -> serde_json::Value {
     let mut command = gap();
-    command
-        .args(["benchmark", "generate", "--json", "--seed", "5", "--size", "0.3"])
-        .args(what)
-        .arg("--skin");
-    command.arg(root().join("launch/skins/baro-line.toml"));
+    command.args(["benchmark", "generate", "--json", "--seed", "5", "--size", "0.3"]).args(what);
+    command.arg("--skin").arg(skin);
     command.arg("--truth").arg(dir.join("truth")).arg("--out").arg(dir.join("set"));
     json(&finish(&mut command))
 }
@@ -79,6 +80,59 @@ fn a_small_benchmark_set_is_diagnosed_sealed_and_scored() {
     std::fs::write(&changed, format!("{text} ")).unwrap();
     let said = refused(&mut check(&out));
     assert!(said.contains("changed after it was sealed"), "{said}");
+}
+
+/// Makes, seals, opens and scores two cases of a family whose device the benchmark is handed; its skin in fewer cells than what
+/// ships.
+fn family(skin: &str, coarser: &[(&str, &str)], kind: &str) {
+    let dir = tempfile::tempdir().unwrap();
+    let mut text = std::fs::read_to_string(root().join(format!("launch/skins/{skin}.toml"))).unwrap();
+    for (fine, coarse) in coarser {
+        assert!(text.contains(fine), "{fine}");
+        text = text.replace(fine, coarse);
+    }
+    let file = dir.path().join("skin.toml");
+    std::fs::write(&file, text).unwrap();
+    let made = make_of(&file, &["--kind", kind, "--count", "2"], dir.path());
+    assert_eq!(made["cases"], 2);
+    let out = dir.path().join("check");
+    let mut command = gap();
+    command.args(["benchmark", "run", "--json", "--no-baselines", "--no-elsewhere", "--set"]);
+    command.arg(dir.path().join("set")).arg("--truth").arg(dir.path().join("truth")).arg("--out").arg(&out);
+    let scores = json(&finish(command.args(["--", "--zero", "start", "--resamples", "0"])));
+    assert_eq!(scores["sets"][0]["sha256"], made["sha256"]);
+    let cases = scores["cases"].as_array().unwrap();
+    assert_eq!(cases.len(), 2);
+    for case in cases {
+        assert_eq!(case["skin"], skin);
+        let verdict = case["answer"]["verdict"].as_str().unwrap();
+        assert!(!verdict.is_empty() && verdict != "unusable-recording", "{case}");
+        // A cause that was withheld moves what it was asked to, and is described.
+        for cause in case["causes"].as_array().unwrap() {
+            assert!(cause["what"].as_str().is_some_and(|what| !what.is_empty()), "{case}");
+        }
+        let moved = case["unexplained"].as_f64().unwrap();
+        assert_eq!(moved > 0.0, !case["causes"].as_array().unwrap().is_empty(), "{case}");
+    }
+    let summary = std::fs::read_to_string(out.join("summary.md")).unwrap();
+    assert!(summary.contains("| score | value |"), "{summary}");
+}
+
+#[test]
+fn a_panel_of_fabric_has_a_benchmark() {
+    family("ert-panel", &[("cells = [90, 90]", "cells = [30, 30]")], "same-law");
+}
+
+#[test]
+fn a_soft_thumb_has_a_benchmark() {
+    let coarser = [
+        ("spacing = 0.001135", "spacing = 0.005"),
+        ("cells = [88, 5]", "cells = [24, 5]"),
+        ("grid = 0.00125", "grid = 0.004"),
+        ("size = [410, 308]", "size = [104, 80]"),
+        ("blocks = [20, 15]", "blocks = [10, 8]"),
+    ];
+    family("insight-thumb", &coarser, "foreign");
 }
 
 #[test]

@@ -13,8 +13,8 @@ use super::{
     WithheldCause, bag_hash, folder, generator, json, sha256, write,
 };
 use crate::{
-    BenchmarkError, Cause, CauseInfo, Cell, Climate, Noise, Numerics, ReferenceDevice, Script, parameters,
-    unexplained,
+    BenchmarkError, Cause, CauseInfo, Cell, Climate, Designs, Noise, Numerics, ReferenceDevice, Script,
+    parameters, unexplained,
 };
 
 /// Requested gaps, in multiples of the floor.
@@ -171,6 +171,7 @@ impl Presses {
 /// The nominal device of a case under its presses: what causes and noise are measured against.
 struct Trial<'a> {
     skin: &'a SkinDescription,
+    designs: &'a Designs<'a>,
     numerics: Numerics,
     script: Script,
     /// What it reads, noise-free.
@@ -200,7 +201,7 @@ impl Trial<'_> {
 
     /// Fraction of the variance that causes move, noise-free.
     fn moved(&self, causes: &[Cause]) -> Result<f64, BenchmarkError> {
-        let device = crate::reference_device(self.skin, &self.numerics, causes)?;
+        let device = crate::reference_device(self.skin, &self.numerics, causes, self.designs)?;
         let other = device.readings(&self.script, None)?;
         Ok(unexplained(&self.clean, &other, &self.script, self.skin.channels().len()))
     }
@@ -281,6 +282,7 @@ fn withheld(skin: &SkinDescription, causes: Vec<Cause>) -> Result<Vec<WithheldCa
 fn make(
     skin: &SkinDescription,
     order: &SetSpec,
+    designs: &Designs<'_>,
     index: usize,
     wanted: &Wanted,
 ) -> Result<Made, BenchmarkError> {
@@ -292,22 +294,22 @@ fn make(
     let rig = crate::rig(skin, order.size)?;
     let noise_seed: u64 = rng.random();
     let presses = Presses::draw(order, index, wanted.kind, &mut rng);
-    let nominal = crate::reference_device(skin, &numerics, &[])?;
+    let nominal = crate::reference_device(skin, &numerics, &[], designs)?;
     let script = Script::draw(&nominal.model(), &rig, presses.climate, presses.seed)?;
     let clean = nominal.readings(&script, None)?;
-    let trial = Trial { skin, numerics, script, clean };
+    let trial = Trial { skin, designs, numerics, script, clean };
 
     let noise = match wanted.disturbance {
         Disturbance::Louder => rng.random_range(1.3..2.0),
         // As the skin's description says.
         _ if order.cells && wanted.kind == Kind::Controls => 1.0,
-        _ => wanted.noise,
+        _ => wanted.noise.min(rig.loudest),
     };
     let floor = trial.noise_share(noise) + MARGIN;
     let seeds: Vec<u64> = wanted.causes.iter().map(|_| rng.random()).collect();
     let Scaled { causes, alone, gap } = trial.scaled(wanted, &seeds, floor)?;
 
-    let device = crate::reference_device(skin, &trial.numerics, &causes)?;
+    let device = crate::reference_device(skin, &trial.numerics, &causes, designs)?;
     // How deep a tip sinks in is what the rig sees of this reference device.
     let mut script = Script::draw(&device.model(), &rig, presses.climate, presses.seed)?;
     let heavy = wanted.disturbance == Disturbance::HeavyTails;
@@ -366,9 +368,14 @@ fn lose(script: &mut Script, readings: &mut Vec<f64>, channels: usize, seed: u64
 /// # Errors
 ///
 /// [`BenchmarkError`] where the ground truth is of another skin, or the bag cannot be written.
-pub fn record_again(skin: &SkinDescription, truth: &GroundTruth, dir: &Path) -> Result<(), BenchmarkError> {
+pub fn record_again(
+    skin: &SkinDescription,
+    truth: &GroundTruth,
+    designs: &Designs<'_>,
+    dir: &Path,
+) -> Result<(), BenchmarkError> {
     let causes: Vec<Cause> = truth.causes.iter().map(|withheld| withheld.cause.clone()).collect();
-    let device = crate::reference_device(skin, &truth.numerics, &causes)?;
+    let device = crate::reference_device(skin, &truth.numerics, &causes, designs)?;
     let climate = if truth.only_warmer { Climate::OnlyWarmer } else { Climate::Varied };
     let rig = crate::rig(skin, truth.size)?;
     let seed = truth.salt.bytes().fold(0xa9a1u64, |seed, b| seed.rotate_left(7) ^ u64::from(b));
@@ -386,12 +393,13 @@ pub fn record_again(skin: &SkinDescription, truth: &GroundTruth, dir: &Path) -> 
 pub fn press(
     skin: &SkinDescription,
     truth: &GroundTruth,
+    designs: &Designs<'_>,
     plan: &str,
     seed: u64,
     dir: &Path,
 ) -> Result<(), BenchmarkError> {
     let causes: Vec<Cause> = truth.causes.iter().map(|withheld| withheld.cause.clone()).collect();
-    let device = crate::reference_device(skin, &truth.numerics, &causes)?;
+    let device = crate::reference_device(skin, &truth.numerics, &causes, designs)?;
     let rig = crate::rig(skin, truth.size)?;
     let seed = truth.salt.bytes().fold(seed ^ 0xf011, |seed, b| seed.rotate_left(7) ^ u64::from(b));
     let mut script = Script::of_plan(plan, &device.model(), rig.rate, seed)?;
@@ -405,7 +413,7 @@ pub fn press(
 
 /// Makes a benchmark set in the folder `dir` and its ground truths in `ground_truths`, neither of which may hold one yet. `skin_text` is the skin file,
 /// which goes into the benchmark set. `done` is called for every case that is finished, and ends the work where it returns `false`; what is
-/// there by then is a valid, smaller set.
+/// there by then is a valid, smaller set. `designs` makes the models of families whose design the benchmark does not compute.
 ///
 /// # Errors
 ///
@@ -413,6 +421,7 @@ pub fn press(
 pub fn generate(
     skin_text: &str,
     order: &SetSpec,
+    designs: &Designs<'_>,
     dir: &Path,
     ground_truths: &Path,
     mut done: impl FnMut(usize) -> bool,
@@ -438,7 +447,7 @@ pub fn generate(
         cases: Vec::new(),
     };
     for (index, wanted) in wanted(order, crate::causes(&skin)?).iter().enumerate() {
-        let made = make(&skin, order, index, wanted)?;
+        let made = make(&skin, order, designs, index, wanted)?;
         let id = made.truth.case.clone();
         let bag = Path::new("bags").join(&id);
         crate::record(

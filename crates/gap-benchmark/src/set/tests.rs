@@ -4,6 +4,7 @@ use dermis_skin::SkinDescription;
 
 use super::generate::wanted;
 use super::*;
+use crate::Designs;
 
 const LINE: &str = include_str!("../../../../launch/skins/baro-line.toml");
 
@@ -15,7 +16,8 @@ fn order(kind: Kind, count: usize) -> SetSpec {
 fn a_set_is_sealed_and_the_same_every_time() {
     let dir = tempfile::tempdir().unwrap();
     let (set, ground_truths) = (dir.path().join("set"), dir.path().join("truths"));
-    let made = generate(LINE, &order(Kind::Singles, 3), &set, &ground_truths, |_| true).unwrap();
+    let made = generate(LINE, &order(Kind::Singles, 3), &Designs::default(), &set, &ground_truths, |_| true)
+        .unwrap();
     assert_eq!(Manifest::load(&set).unwrap(), made);
     for case in &made.cases {
         let truth = open_ground_truth(&ground_truths, case).unwrap();
@@ -32,7 +34,9 @@ fn a_set_is_sealed_and_the_same_every_time() {
         }
     }
     let (set2, ground_truths2) = (dir.path().join("set2"), dir.path().join("truths2"));
-    let again = generate(LINE, &order(Kind::Singles, 3), &set2, &ground_truths2, |_| true).unwrap();
+    let again =
+        generate(LINE, &order(Kind::Singles, 3), &Designs::default(), &set2, &ground_truths2, |_| true)
+            .unwrap();
     let seals = |m: &Manifest| m.cases.iter().map(|c| c.ground_truth_sha256.clone()).collect::<Vec<_>>();
     assert_eq!(seals(&again), seals(&made));
 
@@ -42,8 +46,9 @@ fn a_set_is_sealed_and_the_same_every_time() {
     std::fs::write(&path, text.replace("\"seed\": 11", "\"seed\": 12")).unwrap();
     let refused = open_ground_truth(&ground_truths, case).unwrap_err().to_string();
     assert!(refused.contains("was changed after it was sealed"), "{refused}");
-    let taken =
-        generate(LINE, &order(Kind::Singles, 3), &set, &ground_truths, |_| true).unwrap_err().to_string();
+    let taken = generate(LINE, &order(Kind::Singles, 3), &Designs::default(), &set, &ground_truths, |_| true)
+        .unwrap_err()
+        .to_string();
     assert!(taken.contains("is not empty"), "{taken}");
 }
 

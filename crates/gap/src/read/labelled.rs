@@ -3,11 +3,11 @@
 use std::path::Path;
 
 use dermis_bag::{BagReader, BagSkin, Filter, Messages, SkinChoice};
-use dermis_model::Indentation as Touch;
-use dermis_msgs::msg::{Indentation, TaxelFrame};
+use dermis_model::{Indentation as Touch, Tip, TipShape};
+use dermis_msgs::msg::{Indentation, IndentationContact, TaxelFrame};
 use dermis_msgs::{Message, TypeSupport};
 use dermis_skin::{Frame, Phase, SkinDescription, Stamp, Surface};
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Point3, Quaternion, UnitQuaternion, Vector3};
 
 use super::{Doubts, stimulus};
 use crate::GapError;
@@ -88,8 +88,8 @@ fn meant<'s>(
 }
 
 impl Source<'_> {
-    /// Its frames in the order in which they were recorded, so that a clock that runs backwards shows, and its ground truth in that of
-    /// time.
+    /// Its frames in the order in which they were recorded, so that a clock that runs backwards shows, and its ground truth in
+    /// that of time.
     fn frames_and_truths(
         &self,
         messages: Messages,
@@ -286,11 +286,27 @@ fn describe(label: &mut FrameLabel, truth: &Indentation, surface: &Surface, doub
     if truth.temperature.is_finite() {
         label.temperature = f64::from(truth.temperature);
     }
-    let contacts = truth.contacts.iter().map(|c| {
-        let position = Point3::new(c.position.x, c.position.y, c.position.z);
-        Touch::sphere(position, Vector3::new(c.force.x, c.force.y, c.force.z), c.diameter)
-    });
+    let contacts = truth.contacts.iter().map(touch);
     label.stimulus = stimulus(contacts.collect(), label.temperature, surface, doubts);
+}
+
+/// What touches, as the ground truth of a bag says it. A tip that is neither a ball nor the flat end of a rod is taken for a ball
+/// of its diameter.
+#[must_use]
+pub fn touch(c: &IndentationContact) -> Touch {
+    let position = Point3::new(c.position.x, c.position.y, c.position.z);
+    let mut touch = Touch::sphere(position, Vector3::new(c.force.x, c.force.y, c.force.z), c.diameter);
+    if c.tip == IndentationContact::TIP_FLAT {
+        let shape = TipShape::FlatPunch { diameter: c.diameter };
+        let q = &c.tip_pose.orientation;
+        let turned = Quaternion::new(q.w, q.x, q.y, q.z);
+        touch.tip = if turned.norm() > 0.5 {
+            Tip { shape, orientation: UnitQuaternion::from_quaternion(turned) }
+        } else {
+            Tip::standing(shape, &Vector3::new(c.normal.x, c.normal.y, c.normal.z))
+        };
+    }
+    touch
 }
 
 fn phase(code: u8, touched: bool) -> Phase {
@@ -301,5 +317,28 @@ fn phase(code: u8, touched: bool) -> Phase {
         Indentation::PHASE_UNLOAD => Phase::Unload,
         _ if touched => Phase::Hold,
         _ => Phase::Approach,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_flat_tip_is_read_as_one_however_it_was_written() {
+        let contact = |tip: u8| IndentationContact { tip, diameter: 0.02, ..IndentationContact::default() };
+        assert_eq!(touch(&contact(IndentationContact::TIP_SPHERE)).tip.as_sphere(), Some(0.02));
+        let flat = TipShape::FlatPunch { diameter: 0.02 };
+        let mut written = contact(IndentationContact::TIP_FLAT);
+        written.normal.x = 1.0;
+        // Where no pose was written, it stands straight on the surface.
+        for w in [0.0, 1.0] {
+            written.tip_pose.orientation.w = w;
+            let read = touch(&written).tip;
+            assert_eq!(read.shape, flat);
+            let away = read.orientation * Vector3::z();
+            let wanted = if w == 0.0 { Vector3::x() } else { Vector3::z() };
+            assert!((away - wanted).norm() < 1e-9, "{away}");
+        }
     }
 }

@@ -7,10 +7,10 @@ use std::sync::Arc;
 use anyhow::{Context, Result};
 use dermis_bag::BagReader;
 use dermis_gap_benchmark::score::{Answer, Named};
-use dermis_model::{ForwardModel, Indentation, Stimulus};
+use dermis_model::{ForwardModel, Stimulus};
 use dermis_msgs::msg::{Indentation as Label, TaxelFrame};
 use dermis_skin::{Effect, SkinDescription};
-use nalgebra::{DMatrix, DVector, Point3, Vector3};
+use nalgebra::{DMatrix, DVector};
 
 use crate::Families;
 
@@ -48,13 +48,7 @@ fn read(bag: &Path) -> Result<Record> {
             .contacts
             .iter()
             .filter(|c| c.force.x * c.normal.x + c.force.y * c.normal.y + c.force.z * c.normal.z < 0.0);
-        let contacts = pressing.map(|c| {
-            Indentation::sphere(
-                Point3::new(c.position.x, c.position.y, c.position.z),
-                Vector3::new(c.force.x, c.force.y, c.force.z),
-                c.diameter,
-            )
-        });
+        let contacts = pressing.map(dermis_gap::touch);
         record.stimuli.push(Stimulus {
             contacts: contacts.collect(),
             temperature: f64::from(label.temperature),

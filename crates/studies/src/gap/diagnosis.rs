@@ -81,6 +81,27 @@ pub enum Zero {
     Press,
 }
 
+impl From<Zero> for dermis_gap::Zero {
+    fn from(zero: Zero) -> Self {
+        match zero {
+            Zero::AsRead => Self::AsRead,
+            Zero::Start => Self::Start,
+            Zero::Press => Self::Press,
+        }
+    }
+}
+
+impl Zero {
+    /// What the arguments of a diagnosis count readings from; what they do by default, where they do not say it.
+    #[must_use]
+    pub fn of_arguments(arguments: &[String]) -> Self {
+        let after = arguments.iter().position(|a| a == "--zero").and_then(|at| arguments.get(at + 1));
+        let within = arguments.iter().find_map(|a| a.strip_prefix("--zero="));
+        let said = within.or(after.map(String::as_str)).and_then(|text| Self::from_str(text, false).ok());
+        said.unwrap_or(Request::default().zero)
+    }
+}
+
 fn share(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(share) if (0.0..1.0).contains(&share) => Ok(share),
@@ -103,11 +124,7 @@ pub fn diagnose(
     let map = options.map.as_ref().map(LabelMap::load).transpose()?;
     let bags: Vec<&PathBuf> = options.real.iter().chain(&options.and).collect();
     let mut recording = dermis_gap::read(&bags, &skin, map.as_ref(), options.skin_instance.as_deref())?;
-    recording.tare(match options.zero {
-        Zero::AsRead => dermis_gap::Zero::AsRead,
-        Zero::Start => dermis_gap::Zero::Start,
-        Zero::Press => dermis_gap::Zero::Press,
-    });
+    recording.tare(options.zero.into());
     let make = |skin: &SkinDescription| families.model(skin).map_err(|e| format!("{e:#}"));
     let simulator = Simulator { skin: &skin, effects: families.of(&skin)?.effects(), make: &make };
     let mut how = dermis_gap::Options {
@@ -131,4 +148,20 @@ pub(super) fn cache() -> Option<PathBuf> {
     let folder =
         std::env::var_os("XDG_CACHE_HOME").map(PathBuf::from).filter(|p| p.is_absolute()).or_else(home)?;
     Some(folder.join("dermis").join("gap"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn arguments_say_what_readings_are_counted_from() {
+        let of = |text: &str| {
+            let arguments: Vec<String> = text.split_whitespace().map(str::to_owned).collect();
+            Zero::of_arguments(&arguments)
+        };
+        assert_eq!(of("--resamples 4"), Zero::AsRead);
+        assert_eq!(of("--zero start --resamples 4"), Zero::Start);
+        assert_eq!(of("--resamples 4 --zero=press"), Zero::Press);
+    }
 }

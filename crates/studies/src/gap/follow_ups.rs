@@ -8,6 +8,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
+use dermis_gap_benchmark::Designs;
 use dermis_gap_benchmark::set::{self, GroundTruth};
 use dermis_skin::SkinDescription;
 use indicatif::ProgressBar;
@@ -56,7 +57,9 @@ pub(super) fn ask(
                 seed: time as u64,
             };
             let planned = next(&request, families, &ProgressBar::hidden(), &std::sync::Arc::default())?;
-            set::press(case.skin, case.truth, &planned.protocol.plan_text(), time as u64, &bag)?;
+            let make = |skin: &SkinDescription| families.model(skin).map_err(|e| format!("{e:#}"));
+            let plan = planned.protocol.plan_text();
+            set::press(case.skin, case.truth, &Designs::new(&make), &plan, time as u64, &bag)?;
             let mut arguments = more.to_vec();
             for bag in bags.iter().chain([&bag]) {
                 arguments.extend(["--and".to_owned(), bag.display().to_string()]);

@@ -4,9 +4,12 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use clap::Args;
+use dermis_gap_benchmark::Designs;
 use dermis_gap_benchmark::set::{self, Kind, Manifest, SetSpec};
 use dermis_skin::SkinDescription;
 use serde::{Deserialize, Serialize};
+
+use crate::Families;
 
 /// What to make.
 #[derive(Debug, Clone, Args, Serialize, Deserialize)]
@@ -119,11 +122,13 @@ pub struct Findings {
 /// # Errors
 ///
 /// Where the skin file cannot be used, or a folder is not empty or cannot be written.
-pub fn generate(request: &Request, done: impl FnMut(usize) -> bool) -> Result<Findings> {
+pub fn generate(request: &Request, families: &Families, done: impl FnMut(usize) -> bool) -> Result<Findings> {
     let text = dermis_io::read_text(&request.skin, dermis_io::TEXT)
         .with_context(|| format!("skin file {} cannot be read", request.skin.display()))?;
     SkinDescription::from_toml(&text, &request.skin.display().to_string())?;
-    let manifest = set::generate(&text, &request.order(), &request.out, &request.truth, done)?;
+    let make = |skin: &SkinDescription| families.model(skin).map_err(|e| format!("{e:#}"));
+    let designs = Designs::new(&make);
+    let manifest = set::generate(&text, &request.order(), &designs, &request.out, &request.truth, done)?;
     Ok(Findings {
         set: request.out.clone(),
         cases: manifest.cases.len(),

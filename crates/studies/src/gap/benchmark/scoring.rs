@@ -7,6 +7,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use anyhow::{Context, Result, bail};
 use dermis_gap::{SampleOptions, Samples, Simulator};
+use dermis_gap_benchmark::Designs;
 use dermis_gap_benchmark::score::{self, Answer, Mapping, Scorecard};
 use dermis_gap_benchmark::set::{self, Manifest};
 use dermis_model::common_effect;
@@ -18,6 +19,7 @@ use super::reports::{self, Opened};
 use super::{Diagnose, Request};
 use crate::gap::answers::answer;
 use crate::gap::baselines;
+use crate::gap::diagnosis::Zero;
 use crate::gap::follow_ups::{Asking, ask};
 use crate::{Families, Progress};
 
@@ -93,8 +95,9 @@ impl Scoring<'_> {
         }
         let folder = tempfile::tempdir().context("no folder for another recording can be made")?;
         let bag = folder.path().join("again");
-        set::record_again(skin, &truth, &bag)?;
-        let recording = dermis_gap::read(&[&bag], skin, None, None)?;
+        set::record_again(skin, &truth, &Designs::new(&make), &bag)?;
+        let mut recording = dermis_gap::read(&[&bag], skin, None, None)?;
+        recording.tare(Zero::of_arguments(&self.options.diagnose).into());
         let usable = vec![true; sigma.len()];
         let samples = Samples::draw(&recording, &usable, &SampleOptions::default());
         let frames = samples.frames();

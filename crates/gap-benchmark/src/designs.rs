@@ -1,0 +1,105 @@
+//! Forward models of designs that the benchmark is handed and does not know: of families whose untouched, undamaged device no
+//! other code here computes.
+//!
+//! What such a reference device reads by design is the answer of its family's own model. What makes it differ is computed here, by
+//! laws of its own. So controls of these families show no error of a simulator, unless the design is meshed otherwise: a diagnosis
+//! has it easier with them than with layers and shells, which have a physics of their own.
+
+use std::sync::{Arc, Mutex};
+
+use dermis_model::ForwardModel;
+use dermis_skin::SkinDescription;
+
+use crate::{BenchmarkError, Script};
+
+/// A description → the family's forward model of it, or why there is none.
+pub type Make<'a> = &'a (dyn Fn(&SkinDescription) -> Result<Arc<dyn ForwardModel>, String> + Sync);
+
+/// Models that are kept: one by design, and a few with another number.
+const KEPT: usize = 4;
+
+/// Where models of designs come from.
+#[derive(Clone, Default)]
+pub struct Designs<'a> {
+    make: Option<Make<'a>>,
+    kept: Arc<Mutex<Vec<Nominal>>>,
+}
+
+/// Readings under a script, which are kept for the causes that change readings only.
+struct Answered {
+    script: Script,
+    readings: Arc<Vec<f64>>,
+}
+
+/// The device of a design.
+#[derive(Clone)]
+pub(crate) struct Nominal {
+    hash: String,
+    pub model: Arc<dyn ForwardModel>,
+    answered: Arc<Mutex<Option<Answered>>>,
+}
+
+impl std::fmt::Debug for Nominal {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Nominal").field("hash", &self.hash).finish_non_exhaustive()
+    }
+}
+
+impl<'a> Designs<'a> {
+    /// Of families that `make` knows.
+    #[must_use]
+    pub fn new(make: Make<'a>) -> Self {
+        Self { make: Some(make), kept: Arc::default() }
+    }
+
+    /// The device of this design.
+    ///
+    /// # Errors
+    ///
+    /// [`BenchmarkError::Design`] where nobody makes its model.
+    pub(crate) fn of(&self, skin: &SkinDescription) -> Result<Nominal, BenchmarkError> {
+        let hash = skin.hash();
+        // What another thread has left behind in a panic is made anew.
+        if let Ok(kept) = self.kept.lock()
+            && let Some(nominal) = kept.iter().find(|n| n.hash == hash)
+        {
+            return Ok(nominal.clone());
+        }
+        let refused = |reason: String| BenchmarkError::Design { skin: skin.name.clone(), reason };
+        let make = self.make.ok_or_else(|| refused("no family was given that knows it".to_owned()))?;
+        let nominal = Nominal { hash, model: make(skin).map_err(refused)?, answered: Arc::default() };
+        if let Ok(mut kept) = self.kept.lock() {
+            kept.truncate(KEPT - 1);
+            kept.insert(0, nominal.clone());
+        }
+        Ok(nominal)
+    }
+}
+
+impl Nominal {
+    /// Noise-free readings of a device that is switched on when `script` begins, row after row. Those of the script before are
+    /// kept.
+    pub fn readings(&self, script: &Script) -> Result<Arc<Vec<f64>>, BenchmarkError> {
+        if let Ok(answered) = self.answered.lock()
+            && let Some(before) = answered.as_ref().filter(|a| a.script == *script)
+        {
+            return Ok(Arc::clone(&before.readings));
+        }
+        let readings = Arc::new(self.stepped(script)?);
+        if let Ok(mut answered) = self.answered.lock() {
+            *answered = Some(Answered { script: script.clone(), readings: Arc::clone(&readings) });
+        }
+        Ok(readings)
+    }
+
+    /// As [`readings`](Self::readings), of a script that was changed by a cause: nothing is kept.
+    pub fn stepped(&self, script: &Script) -> Result<Vec<f64>, BenchmarkError> {
+        let channels = self.model.channels();
+        let mut readings = vec![0.0; channels * script.instants.len()];
+        let mut state = self.model.start(0);
+        for (row, instant) in readings.chunks_mut(channels).zip(&script.instants) {
+            state.step(instant.time, &instant.moment.stimulus, row)?;
+        }
+        Ok(readings)
+    }
+}
