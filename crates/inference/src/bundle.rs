@@ -22,9 +22,11 @@ use crate::peaks::PeakSection;
 use crate::runtime::Runtime;
 use crate::trial::{self, Candidate};
 pub use error::{BundleError, SkinMismatch};
+pub use join::{JoinError, Joined, SIGNAL, join};
 pub use writer::BundleWriter;
 
 mod error;
+mod join;
 mod writer;
 
 const MANIFEST: &str = Bundle::MANIFEST;

@@ -32,7 +32,7 @@ mod runtime;
 mod runtime_config;
 pub mod trial;
 
-pub use bundle::{Bundle, BundleError, BundleWriter, SkinMismatch};
+pub use bundle::{Bundle, BundleError, BundleWriter, JoinError, Joined, SIGNAL, SkinMismatch, join};
 pub use correction::{CorrectionError, CorrectionSection};
 pub use features::{FeatureConfig, FeatureError, Features, Missing, Taps};
 pub use force_peaks::{ForceMapContacts, ForcePeakSection, MAP_NORMAL};

@@ -2,6 +2,7 @@
 //!
 //! What is written has opset 17 and IR version 8, which every supported runtime reads; operators of the core domain only.
 
+mod chain;
 mod check;
 mod constants;
 mod graph;
@@ -9,6 +10,7 @@ mod operators;
 
 use onnx_rs::ast;
 
+pub use chain::{ChainError, chain};
 pub(crate) use check::check;
 pub use check::{GraphTensor, Signature, listed, with_batch_of_one};
 pub(crate) use constants::{check as check_constants, unbounded};

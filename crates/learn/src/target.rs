@@ -23,8 +23,8 @@ use std::borrow::Cow;
 use std::sync::Arc;
 
 use dermis_inference::MAP_DISPLACEMENT;
-/// Pressing forces over the surface.
-pub use dermis_inference::MAP_NORMAL;
+/// Pressing forces over the surface, and what the forward model reads.
+pub use dermis_inference::{MAP_NORMAL, SIGNAL};
 use dermis_model::{ForwardModel, Stimulus};
 use dermis_skin::{SkinDescription, Surface};
 use nalgebra::{Point3, Vector3};
@@ -34,8 +34,6 @@ use crate::LearnError;
 use crate::bounds::stimulus;
 use crate::dataset::{Truth, TruthContact};
 
-/// What the forward model reads.
-pub const SIGNAL: &str = "signal";
 /// Forces over the surface.
 pub const MAP_FORCE: &str = "map.force";
 

@@ -6,6 +6,7 @@
 
 mod e_skin;
 mod eflesh;
+mod mat;
 mod tactile_fsi;
 mod tanks;
 
@@ -63,7 +64,7 @@ pub enum ImportError {
     },
     /// Nothing that an importer knows.
     #[error(
-        "{path} is no recording that can be imported: known are an eFlesh run (a folder with sensor.csv and states.csv), a hydrogel skin (a folder with inp_*.csv and out_*.csv), impedance tomography of tanks (*Hz.csv, .txt that begins with #MEAS, .npz with phantomdata), and tactile_fsi files (presses as .xlsx, time series as .npz), or a folder of these"
+        "{path} is no recording that can be imported: known are an eFlesh run (a folder with sensor.csv and states.csv), a hydrogel skin (a folder with inp_*.csv and out_*.csv), impedance tomography of tanks (*Hz.csv, .txt that begins with #MEAS, .npz with phantomdata, .mat of MATLAB's level 5), and tactile_fsi files (presses as .xlsx, time series as .npz), or a folder of these"
     )]
     Unknown {
         /// The file or folder.

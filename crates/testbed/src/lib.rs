@@ -23,7 +23,8 @@ pub use dermis_skin::Phase;
 pub use device::{DeviceStats, Outlet, PluggedDevice, ReplayDevice, ReplayOptions, VirtualDevice};
 pub use error::TestbedError;
 pub use plan::{
-    Action, Drawn, ForceDistribution, HEX_ARMS, Level, Levels, Plan, PlanTip, PressProfile, Step, Timing,
+    Action, Drawn, ForceDistribution, HEX_ARMS, Level, Levels, Plan, PlanTip, PostureSet, PressProfile, Step,
+    Strokes, Timing,
 };
 pub use sampler::Sampler;
 pub use timeline::{GroundTruth, Timeline, Tip};

@@ -189,7 +189,7 @@ fn fixed(bytes: &[u8], path: &[&[u64]]) -> Result<Vec<u8>, String> {
     }
 }
 
-fn varint(mut value: u64, out: &mut Vec<u8>) {
+pub(super) fn varint(mut value: u64, out: &mut Vec<u8>) {
     while value > 0x7f {
         out.push(value as u8 | 0x80);
         value >>= 7;

@@ -1,8 +1,9 @@
 //! Impedance tomography of tanks of water with 16 electrodes on their rim, adjacent drive, adjacent reading: 208 readings a frame.
 //!
-//! Three formats: the deformed tanks of Ottawa (`.npz` with `phantomdata_*` and the electrodes' positions; EIDORS data set of 2008), the
-//! tank of Manchester (`.txt` that begins with `#MEAS`; EIDORS data set of 2004), and the tank of PyEIDORS (`*Hz.csv`, pairs of real and
-//! imaginary part). What lies in a tank is in the names of files and folders.
+//! Four formats: the deformed tanks of Ottawa (`.npz` with `phantomdata_*` and the electrodes' positions; EIDORS data set of 2008), the
+//! tank of Manchester (`.txt` that begins with `#MEAS`; EIDORS data set of 2004), the tank of PyEIDORS (`*Hz.csv`, pairs of real and
+//! imaginary part), and MATLAB files of level 5, whose variables with 256 rows are frames: 16 drives of 16 readings, of which those of the
+//! driven electrodes are left out (EIDORS data sets of 2005 and 2006). What lies in a tank is in the names of files and folders.
 
 use std::{
     fs::File,
@@ -12,7 +13,7 @@ use std::{
 
 use dermis_msgs::msg::Indentation;
 
-use super::{Facts, ImportError, ImportReport, Label, Skin, Target};
+use super::{Facts, ImportError, ImportReport, Label, Skin, Target, mat};
 
 const ELECTRODES: usize = 16;
 /// Readings of a drive: pairs without a driven electrode.
@@ -44,6 +45,7 @@ pub struct TankFrame {
 enum Kind {
     Ottawa,
     Manchester,
+    Matlab,
     PyEidors,
 }
 
@@ -56,6 +58,10 @@ fn kind(path: &Path) -> Option<Kind> {
         let mut start = [0; 5];
         opened()?.read_exact(&mut start).ok()?;
         (&start == b"#MEAS").then_some(Kind::Manchester)
+    } else if name.ends_with(".mat") {
+        let mut start = [0; 7];
+        opened()?.read_exact(&mut start).ok()?;
+        mat::recognises(&start).then_some(Kind::Matlab)
     } else if name.ends_with(".npz") {
         let archive = zip::ZipArchive::new(BufReader::new(opened()?)).ok()?;
         archive.file_names().filter_map(Result::ok).any(|entry| entry == POSITIONS).then_some(Kind::Ottawa)
@@ -76,6 +82,7 @@ pub fn read_tank(file: &Path) -> Result<Vec<TankFrame>, ImportError> {
     let frames = match kind(file) {
         Some(Kind::Ottawa) => ottawa(file)?,
         Some(Kind::Manchester) => vec![manchester(file)?],
+        Some(Kind::Matlab) => matlab(file)?,
         Some(Kind::PyEidors) => py_eidors(file)?,
         None => return Err(ImportError::Unknown { path: file.into() }),
     };
@@ -184,9 +191,6 @@ fn ottawa(file: &Path) -> Result<Vec<TankFrame>, ImportError> {
     let mut frames = Vec::new();
     for (at, name) in names.iter().enumerate() {
         let whole = array(file, &mut archive, name, ELECTRODES * ELECTRODES)?;
-        let of = |drive: usize| {
-            (2..ELECTRODES - 1).map(move |step| drive * ELECTRODES + (drive + step) % ELECTRODES)
-        };
         let rim = (0..ELECTRODES)
             .map(|electrode| {
                 let from = (electrode * names.len() + at) * 2;
@@ -195,11 +199,57 @@ fn ottawa(file: &Path) -> Result<Vec<TankFrame>, ImportError> {
             .collect();
         frames.push(TankFrame {
             name: name.trim_start_matches(FRAMES).trim_end_matches(".npy").to_owned(),
-            readings: (0..ELECTRODES).flat_map(of).map(|index| whole[index]).collect(),
+            readings: read_pairs().map(|index| whole[index]).collect(),
             rim: Some(rim),
         });
     }
     Ok(frames)
+}
+
+/// Frames in the variables of a MATLAB file, one a column. Of complex ones the magnitude is taken, as the sign is lost in the device's
+/// phase.
+fn matlab(file: &Path) -> Result<Vec<TankFrame>, ImportError> {
+    let bytes = dermis_io::read(file, dermis_io::TABLE).map_err(ImportError::read(file))?;
+    let variables = mat::variables(file, &bytes)?;
+    let mut frames = Vec::new();
+    for variable in variables.iter().filter(|variable| variable.rows == ELECTRODES * ELECTRODES) {
+        for column in 0..variable.columns {
+            let name = if variable.columns == 1 {
+                variable.name.clone()
+            } else {
+                format!("{}({})", variable.name, column + 1)
+            };
+            let from = column * variable.rows;
+            let reading = |index: usize| {
+                let real = variable.real[from + index];
+                variable.imaginary.as_ref().map_or(real, |imaginary| real.hypot(imaginary[from + index]))
+            };
+            let readings: Vec<f64> = read_pairs().map(reading).collect();
+            if let Some(bad) = readings.iter().find(|value| !value.is_finite()) {
+                let at = format!("variable `{}`, column {}", variable.name, column + 1);
+                let problem = format!("has the reading {bad}, and finite ones belong there");
+                return Err(ImportError::Value { path: file.into(), at, problem });
+            }
+            frames.push(TankFrame { name, readings, rim: None });
+        }
+    }
+    if frames.is_empty() {
+        let sizes = variables.iter().map(|v| format!("`{}` [{}, {}]", v.name, v.rows, v.columns));
+        let sizes = sizes.collect::<Vec<_>>().join(", ");
+        let has = if sizes.is_empty() { "none of numbers".to_owned() } else { sizes };
+        let problem = format!(
+            "has no variable with 256 rows, which a frame of 16 electrodes with adjacent drive has; its variables are {has}"
+        );
+        return Err(ImportError::file(file, problem));
+    }
+    Ok(frames)
+}
+
+/// Where the readings of a frame lie among 16 drives of 16 readings, those of driven electrodes among them.
+fn read_pairs() -> impl Iterator<Item = usize> {
+    (0..ELECTRODES).flat_map(|drive| {
+        (2..ELECTRODES - 1).map(move |step| drive * ELECTRODES + (drive + step) % ELECTRODES)
+    })
 }
 
 /// So many numbers of an array of `float64` or `complex128` (two each), row by row however it is stored. (The reader of other recordings
@@ -241,7 +291,7 @@ fn array(
 /// Imports the frames of one file into the bag folder `out_dir`.
 ///
 /// Channels are `d0.r2` to `d15.r13`: `d` the first of the driven pair, `r` the first of the pair that is read. Readings are volts where
-/// the file has volts of a known drive, and volts over the current where it has both; the tanks of Ottawa have a unit of their own. Nothing
+/// the file has volts of a known drive, and volts over the current where it has both; the tanks of Ottawa and MATLAB files have a unit of their own. Nothing
 /// touches a tank: every frame is one of an untouched skin. Frames are stamped 1 s apart from 2008-01-01 on.
 ///
 /// # Errors
@@ -251,6 +301,7 @@ pub fn tank(file: &Path, out_dir: &Path) -> Result<ImportReport, ImportError> {
     let (unit, licence) = match kind(file) {
         Some(Kind::Manchester) => ("Ohm", "EIDORS sample data, Manchester 2004, GPL 2"),
         Some(Kind::PyEidors) => ("V", "PyEIDORS, MIT"),
+        Some(Kind::Matlab) => ("1", "EIDORS sample data, GPL 2"),
         _ => ("1", "EIDORS sample data, Ottawa 2008, GPL 2"),
     };
     let names = (0..ELECTRODES).flat_map(|drive| {

@@ -122,3 +122,65 @@ fn damaged_recordings_of_tanks_are_refused() {
     insta::assert_snapshot!(refusal("c.txt", "#MEAS\n#Start\n1 x 3\n"), @r#"DIR/c.txt, line 3: "x" is not a finite number"#);
     insta::assert_snapshot!(refusal("d.txt", "#MEAS\n#Start\n1 2 0\n"), @"DIR/d.txt, line 3: has the current 0, by which nothing can be divided");
 }
+
+#[test]
+fn tanks_as_matlab_files() {
+    let Some(path) = data("eidors_tanks/oct05/ph1t1/avgdata_ph1t1.mat") else { return };
+    let frames = read_tank(&path).unwrap();
+    assert_eq!(
+        frames.iter().map(|f| f.name.as_str()).collect::<Vec<_>>(),
+        ["vvRef", "vvAvg1", "vvAvg2", "vvAvg3"]
+    );
+    // The first reading of a drive is that of the pair behind it: number 2 of 256.
+    assert!(frames.iter().all(|frame| frame.readings.len() == 208 && frame.rim.is_none()));
+    assert!(
+        close(frames[0].readings[0], 0.587_525_52, 1e-8) && close(frames[0].readings[1], 0.157_792_98, 1e-8)
+    );
+    // No reading of a driven pair, which are 0, is among them.
+    assert!(frames.iter().all(|frame| frame.readings.iter().all(|v| *v > 0.0)));
+    let imported = import(&path);
+    assert_eq!((imported.report.untouched, imported.report.channels), (4, 208));
+
+    // Complex, compressed, and many frames in one variable.
+    let Some(path) = data("eidors_tanks/iirc_data_2006.mat") else { return };
+    let frames = read_tank(&path).unwrap();
+    assert_eq!((frames.len(), frames[0].name.as_str()), (101, "v_reference"));
+    assert_eq!((frames[1].name.as_str(), frames[100].name.as_str()), ("v_rotate(1)", "v_rotate(100)"));
+    assert!(close(frames[0].readings[0], 4126.93_f64.hypot(88.5523), 1e-2));
+
+    // 32 electrodes with trigonometric patterns are no frame of this kind.
+    let Some(path) = data("eidors_tanks/Rensselaer_EIT_Phantom.mat") else { return };
+    let refused = read_tank(&path).unwrap_err().to_string();
+    assert!(
+        refused.ends_with("its variables are `ACT2006_homog` [992, 1], `ACT2000_phant` [992, 1]"),
+        "{refused}"
+    );
+}
+
+#[test]
+fn a_matlab_file_of_a_tank_is_read_by_column_and_refused_by_variable() {
+    use super::super::mat::tests::{compressed, file, matrix};
+
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("tank.mat");
+    let mut values: Vec<f64> = (0..512).map(f64::from).collect();
+    let imaginary = vec![0.0; 512];
+    fs::write(&path, file(&[compressed(&matrix("v", 2, &values, Some(&imaginary)))])).unwrap();
+    let frames = read_tank(&path).unwrap();
+    assert_eq!((frames[0].name.as_str(), frames[1].name.as_str()), ("v(1)", "v(2)"));
+    // Drive 0 is read at 2 to 14, drive 1 at 3 to 15, drive 2 from 4 on and at 0.
+    assert_eq!((frames[0].readings[0], frames[0].readings[12]), (2.0, 14.0));
+    assert_eq!((frames[0].readings[13], frames[0].readings[26], frames[0].readings[38]), (19.0, 36.0, 32.0));
+    assert_eq!(frames[1].readings[0], 258.0);
+    let imported = import(&path);
+    assert_eq!((imported.report.untouched, imported.layout.unit.as_str()), (2, "1"));
+
+    let refusal = |bytes: &[u8]| {
+        fs::write(&path, bytes).unwrap();
+        read_tank(&path).unwrap_err().to_string().replace(&folder.path().display().to_string(), "DIR")
+    };
+    values[256 + 2] = f64::NAN;
+    insta::assert_snapshot!(refusal(&file(&[matrix("v", 2, &values, None)])), @"DIR/tank.mat, variable `v`, column 2: has the reading NaN, and finite ones belong there");
+    insta::assert_snapshot!(refusal(&file(&[matrix("w", 1, &values[..8], None)])), @"DIR/tank.mat: has no variable with 256 rows, which a frame of 16 electrodes with adjacent drive has; its variables are `w` [8, 1]");
+    insta::assert_snapshot!(refusal(b"MATLAB 7.3 MAT-file"), @"DIR/tank.mat: is no little-endian MATLAB file of level 5; save it again with `save -v7`");
+}
