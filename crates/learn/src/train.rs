@@ -14,6 +14,8 @@ mod config;
 pub mod conv;
 #[cfg(feature = "train")]
 mod fit_image;
+#[cfg(feature = "train")]
+mod held;
 mod image;
 mod kept;
 mod kernels;

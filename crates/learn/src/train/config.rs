@@ -165,6 +165,9 @@ pub enum InputForm {
     /// Direction and logarithm of the magnitude of the first tap's readings, and everything else normalised. Where a
     /// contact is shows in the ratios between channels, how hard it is in their magnitude.
     Direction,
+    /// The direction of `direction` alone: the ratios between the channels. For where a contact is on a skin whose recordings hold few
+    /// depths or forces: what a regressor makes of a magnitude that it has never seen is a guess.
+    Ratios,
     /// Signed logarithms of the first tap's readings, and everything else normalised: asinh(x / s), which is x / s for small readings
     /// x and ± ln(2|x| / s) for large ones. s is the median over the training samples of the root mean square of the channels. For
     /// skins with a few channels that are many times stronger than the others, which would outweigh them all.

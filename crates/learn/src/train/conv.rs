@@ -14,8 +14,10 @@
 
 mod checkpoint;
 mod fit;
+mod loss;
 mod network;
 mod ops;
+mod split;
 #[cfg(test)]
 mod tests;
 

@@ -5,7 +5,7 @@
 //! written, the pixels are mixed into forces on the points ([`Mixing`]), so that bundle, node and evaluation know a map and no picture.
 //! Pixels are divided by their root mean square over the touched samples, which the mixing undoes. Inputs may get noise of each channel's
 //! own standard deviation, such as a transfer network leaves ([`ChannelNoise`](super::ChannelNoise), thesis section 4.3.3). Cost: see
-//! [`conv`](super::conv); pictures are drawn anew in every epoch where they are too many to be held.
+//! [`conv`](super::conv); pictures are drawn anew in every epoch where they are too many to be held ([`held`](super::held)).
 
 use std::path::Path;
 use std::sync::atomic::AtomicBool;

@@ -83,7 +83,8 @@ mod tests {
         let (x, t) = (Rows::new(&inputs, 2, "inputs").unwrap(), Rows::new(&targets, 2, "targets").unwrap());
         let config = RuntimeConfig { choice: RuntimeChoice::Embedded, library: None };
         let runtime = Runtime::load(&config).unwrap();
-        let gaussian = |kernel| Settings::Gaussian(GaussianSettings { kernel, gamma: 0.5, noise: 1e-3 });
+        let gaussian =
+            |kernel| Settings::Gaussian(GaussianSettings { kernel, gamma: 0.5, noise: 1e-3, supports: None });
         let vectors = Settings::Vectors(SvrSettings { gamma: 1.0, ..SvrSettings::default() });
         for settings in [gaussian(Kernel::Gaussian), gaussian(Kernel::Matern), vectors] {
             let fitted = settings.fit(x, t).unwrap();

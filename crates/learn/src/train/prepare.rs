@@ -13,6 +13,8 @@ enum Form {
     Plain,
     /// [`InputForm::Direction`], of multiples of the noise.
     Direction(Vec<f32>, Vec<f32>),
+    /// [`InputForm::Ratios`], of multiples of the noise.
+    Ratios(Vec<f32>, Vec<f32>),
     /// [`InputForm::Logarithm`], of multiples of the knee.
     Logarithm(Vec<f32>, Vec<f32>),
 }
@@ -22,7 +24,7 @@ impl Form {
     fn channels(&self) -> usize {
         match self {
             Self::Plain => 0,
-            Self::Direction(factor, _) | Self::Logarithm(factor, _) => factor.len(),
+            Self::Direction(factor, _) | Self::Ratios(factor, _) | Self::Logarithm(factor, _) => factor.len(),
         }
     }
 
@@ -55,11 +57,12 @@ impl Preparation {
         };
         let form = match form {
             InputForm::Plain => Form::Plain,
-            InputForm::Direction => {
+            InputForm::Direction | InputForm::Ratios => {
                 // The magnitude of the noise alone: weaker signals have no direction.
                 let floor = noise.iter().map(|n| n * n).sum::<f64>().sqrt() as f32;
                 let (factor, offset) = unit(floor);
-                Form::Direction(factor, offset)
+                let with_magnitude = form == InputForm::Direction;
+                if with_magnitude { Form::Direction(factor, offset) } else { Form::Ratios(factor, offset) }
             }
             InputForm::Logarithm => {
                 let (factor, offset) = unit(knee(features, noise, rows));
@@ -104,11 +107,13 @@ impl Preparation {
             let (first, rest) = row.split_at(self.form.channels());
             match &self.form {
                 Form::Plain => {}
-                Form::Direction(factor, offset) => {
+                Form::Direction(factor, offset) | Form::Ratios(factor, offset) => {
                     all.extend(first.iter().zip(factor).zip(offset).map(|((z, f), o)| z * f + o));
                     let magnitude = (all[start..].iter().map(|x| x * x).sum::<f32>() + 1.0).sqrt();
                     all[start..].iter_mut().for_each(|x| *x /= magnitude);
-                    all.push(magnitude.ln());
+                    if matches!(self.form, Form::Direction(..)) {
+                        all.push(magnitude.ln());
+                    }
                 }
                 Form::Logarithm(factor, offset) => {
                     all.extend(first.iter().zip(factor).zip(offset).map(|((z, f), o)| (z * f + o).asinh()));
@@ -126,7 +131,7 @@ impl Preparation {
     pub fn to_graph(&self, g: &mut GraphBuilder, input: &Value) -> Value {
         let (factor, offset, prefix) = match &self.form {
             Form::Plain => return input.clone(),
-            Form::Direction(factor, offset) => (factor, offset, "noise"),
+            Form::Direction(factor, offset) | Form::Ratios(factor, offset) => (factor, offset, "noise"),
             Form::Logarithm(factor, offset) => (factor, offset, "knee"),
         };
         let channels = factor.len();
@@ -138,7 +143,11 @@ impl Preparation {
         let scaled = g.add(&scaled, &offset);
         let mut parts = match &self.form {
             Form::Logarithm(..) => vec![g.operator("Asinh", &[&scaled], &[], 1).swap_remove(0)],
-            _ => direction_to_graph(g, &scaled),
+            Form::Ratios(..) => vec![direction_to_graph(g, &scaled).0],
+            _ => {
+                let (direction, magnitude) = direction_to_graph(g, &scaled);
+                vec![direction, g.operator("Log", &[&magnitude], &[], 1).swap_remove(0)]
+            }
         };
         if channels < self.width {
             parts.push(g.slice(input, 1, end, i64::try_from(self.width).unwrap_or(i64::MAX)));
@@ -160,16 +169,15 @@ impl Preparation {
     }
 }
 
-/// Direction, and logarithm of the magnitude, of `scaled`.
-fn direction_to_graph(g: &mut GraphBuilder, scaled: &Value) -> Vec<Value> {
+/// Direction and magnitude of `scaled`.
+fn direction_to_graph(g: &mut GraphBuilder, scaled: &Value) -> (Value, Value) {
     let squares = g.mul(scaled, scaled);
     let sum = g.reduce_sum(&squares, 1);
     let one = g.constant("one", &[1, 1], &[1.0]);
     let sum = g.add(&sum, &one);
     let magnitude = g.sqrt(&sum);
     let direction = g.div(scaled, &magnitude);
-    let logarithm = g.operator("Log", &[&magnitude], &[], 1).swap_remove(0);
-    vec![direction, logarithm]
+    (direction, magnitude)
 }
 
 /// The strength of a usual signal in the unit of the skin: over the rows, the median of the root mean square of the channels; never
@@ -216,6 +224,13 @@ mod tests {
         let all = preparation.apply(&rows);
         let mean: f32 = all.chunks(5).map(|r| r[0]).sum::<f32>() / 3.0;
         assert!(mean.abs() < 1e-5);
+        // Without the magnitude, presses of twice the force are one.
+        let ratios = Preparation::measure(InputForm::Ratios, &features, &[1.0, 1.0], &rows);
+        assert_eq!((ratios.width(), ratios.columns()), (4, 4));
+        let [weak, strong] = [[300.0, -150.0], [600.0, -300.0]].map(|signal| ratios.apply(&row(signal)));
+        assert!(weak.iter().zip(&strong).all(|(a, b)| (a - b).abs() < 1e-3), "{weak:?} {strong:?}");
+        let other = ratios.apply(&row([300.0, 150.0]));
+        assert!((other[1] - weak[1]).abs() > 0.1, "{other:?} {weak:?}");
     }
 
     #[test]

@@ -1,9 +1,10 @@
 //! From a data set to a convolutional network.
 //!
-//! Inputs and targets are held where they are few; otherwise they are computed anew in every epoch, while the bags are read, and
-//! nothing of them is held but a mini-batch and what is shuffled. A tenth of the locations of the training part serves to stop early, besides those that are held out.
+//! Inputs and targets are held where a quarter of the free memory has room for them ([`held`](super::held)); otherwise they are computed
+//! anew in every epoch, while the bags are read, and nothing of them is held but a mini-batch and what is shuffled. A tenth of the
+//! locations of the training part serves to stop early, besides those that are held out.
 
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::collections::BTreeSet;
 use std::sync::atomic::AtomicBool;
 
@@ -11,6 +12,7 @@ use dermis_inference::{Interface, TensorPort};
 
 use super::config::ConvConfig;
 use super::conv::{ConvNetwork, ConvSpec, ConvTraining, Form, Head, TensorReader, TensorSample, fit};
+use super::held::{Held, budget};
 use super::network::Progress;
 use super::run::{Job, Trained, no_rows, partial, signature};
 use crate::dataset::{SampleId, Truth};
@@ -22,58 +24,27 @@ const SHUFFLE: usize = 1024;
 /// Locations of the training part that serve to stop early.
 const VALIDATION: f64 = 0.1;
 
-/// Bytes of inputs and targets up to which they are held from one epoch to the next.
-const HELD: usize = 256 << 20;
-
-/// Whether samples are held.
-enum Held {
-    /// So many were read so far, and they may still be few.
-    Reading(Vec<TensorSample>, usize),
-    /// All of them.
-    All(Vec<TensorSample>),
-    /// They are too many.
-    No,
-}
-
 /// Targets of a sample, one list for each head, and how much they count; `None` where nothing is known.
 pub(super) type TargetsOf<'a> = dyn Fn(&Truth) -> Result<Option<[Vec<Vec<f32>>; 2]>, LearnError> + 'a;
 
 /// Samples of a data set.
 struct Reader<'a> {
     held: RefCell<Held>,
+    /// \[bytes\] that may still be held, of all readers.
+    left: &'a Cell<usize>,
     job: &'a Job<'a>,
     ids: BTreeSet<SampleId>,
     targets: &'a TargetsOf<'a>,
 }
 
-impl Held {
-    /// Keeps one more sample, unless they have become too many.
-    fn push(&mut self, sample: &TensorSample) {
-        let Self::Reading(samples, bytes) = self else { return };
-        let rows = sample.targets.iter().chain(&sample.weights).map(Vec::len).sum::<usize>();
-        *bytes += size_of::<f32>() * (sample.input.len() + rows);
-        if *bytes > HELD {
-            *self = Self::No;
-        } else {
-            samples.push(sample.clone());
-        }
-    }
-}
-
 impl TensorReader for Reader<'_> {
     fn each(&self, take: &mut dyn FnMut(TensorSample) -> Result<(), LearnError>) -> Result<(), LearnError> {
         if let Held::All(samples) = &*self.held.borrow() {
-            return samples.iter().try_for_each(|sample| take(sample.clone()));
+            return samples.iter().try_for_each(|sample| take(sample.unpack()));
         }
-        if matches!(*self.held.borrow(), Held::Reading(..)) {
-            // What an earlier, interrupted reading has kept is read again.
-            *self.held.borrow_mut() = Held::Reading(Vec::new(), 0);
-        }
+        self.held.borrow_mut().begin(self.left);
         self.read(take)?;
-        let mut held = self.held.borrow_mut();
-        if let Held::Reading(samples, _) = &mut *held {
-            *held = Held::All(std::mem::take(samples));
-        }
+        self.held.borrow_mut().end();
         Ok(())
     }
 }
@@ -87,7 +58,7 @@ impl Reader<'_> {
             let Some(truth) = truth.filter(|_| self.ids.contains(&id)) else { return Ok(()) };
             let Some([targets, weights]) = (self.targets)(truth)? else { return Ok(()) };
             let sample = TensorSample { input: row.to_vec(), targets, weights };
-            self.held.borrow_mut().push(&sample);
+            self.held.borrow_mut().push(&sample, self.left);
             take(sample)
         })
     }
@@ -224,12 +195,9 @@ pub(super) fn fit_spec(
     if train.is_empty() || validation.is_empty() {
         return Err(no_rows());
     }
-    let reader = |ids: BTreeSet<SampleId>| Reader {
-        held: RefCell::new(Held::Reading(Vec::new(), 0)),
-        job,
-        ids,
-        targets,
-    };
+    let left = Cell::new(budget());
+    let reader =
+        |ids: BTreeSet<SampleId>| Reader { held: RefCell::new(Held::new()), left: &left, job, ids, targets };
     let samples = train.len();
     let folder = partial(request.out);
     std::fs::create_dir_all(&folder).map_err(LearnError::io(&folder, "written"))?;

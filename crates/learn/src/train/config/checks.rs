@@ -55,7 +55,8 @@ pub(super) fn input(config: &TrainConfig, wrong: Wrong<'_>) -> Result<(), LearnE
     if !plain && !newest_first {
         return wrong(
             "network.input",
-            "`direction` and `logarithm` need the newest frame as the first of `features.taps`".into(),
+            "`direction`, `ratios` and `logarithm` need the newest frame as the first of `features.taps`"
+                .into(),
         );
     }
     if let Some(grid) = &config.features.image {

@@ -8,7 +8,8 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-use super::network::{ConvNetwork, batch_of, numbers};
+use super::loss::{Losses, loss};
+use super::network::{ConvNetwork, numbers};
 use super::{ConvSpec, TensorReader, TensorSample, checkpoint};
 use crate::LearnError;
 use crate::train::Processor;
@@ -193,8 +194,9 @@ fn epoch(
     let mut noise = ChaCha8Rng::seed_from_u64(training.seed);
     noise.set_stream(u64::MAX - u64::from(state.epoch));
     let spec = state.network.spec.clone();
+    let split = training.processor != Processor::Cpu;
     let (mut pool, mut batch): (Vec<TensorSample>, Vec<TensorSample>) = (Vec::new(), Vec::new());
-    let mut sum = Mean::default();
+    let mut losses = Losses::default();
     let mut draw = |pool: &mut Vec<TensorSample>, batch: &mut Vec<TensorSample>, last: bool| {
         let index = rng.random_range(0..pool.len());
         let mut sample = pool.swap_remove(index);
@@ -208,8 +210,8 @@ fn epoch(
         if stop.load(Ordering::Relaxed) {
             return Err(LearnError::Interrupted { epoch: 0, epochs: 0, path: std::path::PathBuf::new() });
         }
-        let loss = live.step(&state.network, batch, (rate, training.momentum), device)?;
-        sum.push(loss, batch.len());
+        let loss = live.step(&state.network, batch, (rate, training.momentum), device, split);
+        losses.push(loss, batch.len())?;
         batch.clear();
         Ok(())
     };
@@ -221,10 +223,10 @@ fn epoch(
     while !pool.is_empty() {
         draw(&mut pool, &mut batch, true)?;
     }
-    let loss = sum.value("train on")?;
+    let loss = losses.mean("train on")?;
     live.store(state)?;
     state.epoch += 1;
-    let checked = measure(&state.network, validation, training.batch, device)?;
+    let checked = measure(&state.network, validation, training.batch, device, split)?;
     if !(loss.is_finite() && checked.is_finite()) {
         return Err(LearnError::Training {
             reason: format!(
@@ -246,12 +248,12 @@ fn measure(
     samples: &dyn TensorReader,
     size: usize,
     device: &Device,
+    split: bool,
 ) -> Result<f64, LearnError> {
     let tensors = network.tensors(device);
-    let (mut batch, mut sum) = (Vec::new(), Mean::default());
+    let (mut batch, mut losses) = (Vec::new(), Losses::default());
     let mut take = |batch: &mut Vec<TensorSample>| {
-        let loss = numbers(loss(network, &tensors, batch, device))?;
-        sum.push(f64::from(loss.first().copied().unwrap_or(f32::NAN)), batch.len());
+        losses.push(loss(network, &tensors, batch, device, split), batch.len())?;
         batch.clear();
         Ok(())
     };
@@ -263,29 +265,7 @@ fn measure(
     if !batch.is_empty() {
         take(&mut batch)?;
     }
-    sum.value("validate on")
-}
-
-#[derive(Default)]
-struct Mean {
-    sum: f64,
-    count: usize,
-}
-
-impl Mean {
-    fn push(&mut self, value: f64, count: usize) {
-        self.sum += value * count as f64;
-        self.count += count;
-    }
-
-    fn value(&self, what: &str) -> Result<f64, LearnError> {
-        if self.count == 0 {
-            return Err(LearnError::Training {
-                reason: format!("there is no sample to {what}; record more"),
-            });
-        }
-        Ok(self.sum / self.count as f64)
-    }
+    losses.mean("validate on")
 }
 
 /// Refuses noise of another shape.
@@ -360,17 +340,18 @@ impl Live {
         Ok(())
     }
 
-    /// One step of Adam; the mean loss before it.
+    /// One step of Adam; the mean loss before it, which is on the device still.
     fn step(
         &mut self,
         network: &ConvNetwork,
         batch: &[TensorSample],
         (rate, momentum): (f64, f64),
         device: &Device,
-    ) -> Result<f64, LearnError> {
+        split: bool,
+    ) -> Tensor<1> {
         let tracked: Vec<Tensor<1>> =
             self.parameters.iter().map(|p| p.clone().autodiff().require_grad()).collect();
-        let loss = loss(network, &tracked, batch, &device.clone().autodiff());
+        let loss = loss(network, &tracked, batch, &device.clone().autodiff(), split);
         let mut gradients = loss.backward();
         self.steps += 1;
         let power = i32::try_from(self.steps).unwrap_or(i32::MAX);
@@ -384,46 +365,6 @@ impl Live {
             self.parameters[i] = self.parameters[i].clone() - quotient * (rate as f32);
             (self.first[i], self.second[i]) = (first, second);
         }
-        let value = numbers(loss.inner())?;
-        Ok(f64::from(value.first().copied().unwrap_or(f32::NAN)))
+        loss.inner()
     }
-}
-
-/// Sum over the heads of the mean error of what is known.
-fn loss(network: &ConvNetwork, tensors: &[Tensor<1>], batch: &[TensorSample], device: &Device) -> Tensor<1> {
-    let spec = &network.spec;
-    let inputs = batch.iter().flat_map(|s| s.input.iter().copied()).collect();
-    let x = batch_of(inputs, batch.len(), spec.shape, device);
-    let outputs = network.forward(tensors, &x);
-    let mut total: Option<Tensor<1>> = None;
-    for (h, (head, output)) in spec.heads.iter().zip(outputs).enumerate() {
-        let count = head.form.len() * batch.len();
-        let (mut targets, mut weights) = (Vec::with_capacity(count), Vec::with_capacity(count));
-        for sample in batch {
-            for (i, target) in sample.targets[h].iter().enumerate() {
-                let weight = sample.weights.get(h).map_or(1.0, |w| w[i]);
-                let known = target.is_finite() && weight.is_finite();
-                targets.push(if known { *target } else { 0.0 });
-                weights.push(if known { weight } else { 0.0 });
-            }
-        }
-        let known = weights.iter().filter(|w| **w != 0.0).count().max(1) as f32;
-        let flat = |values: Vec<f32>| Tensor::<1>::from_data(TensorData::new(values, [count]), device);
-        let (targets, weights) = (flat(targets), flat(weights));
-        let output = output.reshape([count]);
-        let errors = if head.logit {
-            // ln(1 + e^z) − t z, written so that no exponential overflows.
-            let soft = burn::tensor::activation::relu(output.clone()) + (-output.clone().abs()).exp().log1p();
-            soft - targets * output
-        } else {
-            let apart = output - targets;
-            apart.clone() * apart
-        };
-        let mean = (errors * weights).sum() / known;
-        total = Some(match total {
-            Some(total) => total + mean,
-            None => mean,
-        });
-    }
-    total.unwrap_or_else(|| Tensor::zeros([1], device))
 }

@@ -237,7 +237,7 @@ impl ConvNetwork {
         let tensors = self.tensors(&device);
         let batch = inputs.len() / self.spec.input_len();
         let x = batch_of(inputs.to_vec(), batch, self.spec.shape, &device);
-        self.forward(&tensors, &x).into_iter().map(numbers).collect()
+        self.forward(&tensors, &x, false).into_iter().map(numbers).collect()
     }
 
     pub(super) fn tensors(&self, device: &Device) -> Vec<Tensor<1>> {
@@ -246,8 +246,9 @@ impl ConvNetwork {
         self.parameters.iter().map(tensor).collect()
     }
 
-    pub(super) fn forward(&self, tensors: &[Tensor<1>], x: &Tensor<4>) -> Vec<Tensor<4>> {
-        forward(&self.spec, &mut Burn { shapes: &self.parameters, tensors }, x)
+    /// What burn makes of inputs, with sums of gradients `split` or not.
+    pub(super) fn forward(&self, tensors: &[Tensor<1>], x: &Tensor<4>, split: bool) -> Vec<Tensor<4>> {
+        forward(&self.spec, &mut Burn { shapes: &self.parameters, tensors, split }, x)
     }
 
     /// The bytes of an `.onnx` file of batch 1, whose outputs are called as the heads are.

@@ -7,6 +7,7 @@ use burn::tensor::ops::{ConvOptions, ConvTransposeOptions};
 use dermis_inference::onnx::{GraphBuilder, Value, Window};
 
 use super::network::Parameter;
+use super::split;
 
 /// Operators on tensors of \[batch, channels, height, width\]; weights are given by their index.
 pub(super) trait Ops {
@@ -35,6 +36,8 @@ pub(super) trait Ops {
 pub(super) struct Burn<'a> {
     pub(super) shapes: &'a [Parameter],
     pub(super) tensors: &'a [Tensor<1>],
+    /// Whether sums of gradients are split among the threads of a GPU ([`split`]).
+    pub(super) split: bool,
 }
 
 impl Burn<'_> {
@@ -42,30 +45,47 @@ impl Burn<'_> {
         let shape: [usize; D] = std::array::from_fn(|i| self.shapes[index].shape[i]);
         (self.tensors[index].clone().reshape(shape), self.tensors[index + 1].clone())
     }
+
+    /// Transposed convolution.
+    fn spread(&self, x: &Tensor<4>, index: usize, stride: usize, padding: usize) -> Tensor<4> {
+        let (weight, bias) = self.weight::<4>(index);
+        let options = ConvTransposeOptions::new([stride; 2], [padding; 2], [0, 0], [1, 1], 1);
+        if !self.split {
+            return conv_transpose2d(x.clone(), weight, Some(bias), options);
+        }
+        let y = if split::is_worth(x, self.tensors[index].dims()[0]) {
+            split::transposed(x, weight, stride, padding)
+        } else {
+            conv_transpose2d(x.clone(), weight, None, options)
+        };
+        split::biased(y, bias)
+    }
 }
 
 impl Ops for Burn<'_> {
     type Value = Tensor<4>;
 
     fn conv(&mut self, x: &Tensor<4>, weight: usize, stride: usize) -> Tensor<4> {
-        let (weight, bias) = self.weight::<4>(weight);
-        conv2d(x.clone(), weight, Some(bias), ConvOptions::new([stride; 2], [1, 1], [1, 1], 1))
+        let (kernel, bias) = self.weight::<4>(weight);
+        let options = ConvOptions::new([stride; 2], [1, 1], [1, 1], 1);
+        if !self.split {
+            return conv2d(x.clone(), kernel, Some(bias), options);
+        }
+        let y = if stride == 1 && split::is_worth(x, self.tensors[weight].dims()[0]) {
+            // With the kernel turned round, it is the transposed one.
+            split::transposed(x, kernel.swap_dims(0, 1).flip([2, 3]), 1, 1)
+        } else {
+            conv2d(x.clone(), kernel, None, options)
+        };
+        split::biased(y, bias)
     }
 
     fn grow(&mut self, x: &Tensor<4>, weight: usize) -> Tensor<4> {
-        let (weight, bias) = self.weight::<4>(weight);
-        conv_transpose2d(
-            x.clone(),
-            weight,
-            Some(bias),
-            ConvTransposeOptions::new([2, 2], [0, 0], [0, 0], [1, 1], 1),
-        )
+        self.spread(x, weight, 2, 0)
     }
 
     fn transposed(&mut self, x: &Tensor<4>, weight: usize, stride: usize, padding: usize) -> Tensor<4> {
-        let (weight, bias) = self.weight::<4>(weight);
-        let options = ConvTransposeOptions::new([stride; 2], [padding; 2], [0, 0], [1, 1], 1);
-        conv_transpose2d(x.clone(), weight, Some(bias), options)
+        self.spread(x, weight, stride, padding)
     }
 
     fn upsample(&mut self, x: &Tensor<4>, [channels, height, width]: [usize; 3], factor: usize) -> Tensor<4> {

@@ -162,6 +162,21 @@ fn a_gpu_learns_what_the_processor_learns() {
     );
 }
 
+/// Its layers have more positions than weights: their gradients are split there.
+#[cfg(feature = "gpu")]
+#[test]
+fn a_gpu_draws_what_the_processor_draws() {
+    let on = |processor| draws(&ConvTraining { processor, ..training() });
+    let cpu = on(crate::train::Processor::Cpu).unwrap();
+    match on(crate::train::Processor::Gpu(None)) {
+        Ok(gpu) => {
+            let ratio = gpu.validation / cpu.validation;
+            assert!((ratio - 1.0).abs() < 0.05, "{} and {}", gpu.validation, cpu.validation);
+        }
+        Err(error) => eprintln!("not tested: {error}"),
+    }
+}
+
 #[test]
 fn training_stops_where_nothing_is_gained_and_keeps_the_best() {
     // Targets of the validation samples have nothing to do with their inputs.

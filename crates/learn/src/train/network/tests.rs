@@ -64,7 +64,7 @@ fn the_graph_equals_the_mean_of_the_networks() {
     let mut features = FeatureConfig::newest(vec![3.0, -2.0, 0.5], vec![2.0, 4.0, 1.0]);
     features.low_pass = vec![1.0];
     let inputs = noise(4, 6 * 20);
-    for form in [InputForm::Plain, InputForm::Direction, InputForm::Logarithm] {
+    for form in [InputForm::Plain, InputForm::Direction, InputForm::Ratios, InputForm::Logarithm] {
         let preparation = Preparation::measure(form, &features, &[0.5, 0.5, 0.5], &inputs);
         let prepared = preparation.apply(&inputs);
         for activation in [Activation::Silu, Activation::Tanh, Activation::Relu] {
