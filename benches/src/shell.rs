@@ -8,8 +8,9 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
 use clap::Args;
+use dermis_hapdef::model::Solved;
 use dermis_mechanics::calculix::{self, Panel};
-use dermis_mechanics::shell::{Action, Face, Gauge, Green, Quads, Section, Shell, ShellMesh, Support};
+use dermis_mechanics::shell::{Action, Face, Gauge, Green, PlateTheory, Quads, Section, Shell, ShellMesh};
 use dermis_model::{ForwardModel, Indentation, Stimulus};
 use dermis_skin::{SkinDescription, Surface};
 use nalgebra::{Point3, Vector3};
@@ -29,8 +30,6 @@ const DIAMETER: f64 = 0.010;
 const CONTACTS: usize = 4;
 /// Load cases of a run of CalculiX, beside a run of one.
 const LOADS: usize = 5;
-/// What the shell is made of.
-const SECTION: Section = Section::isotropic(1.7e9, 0.394, 0.002);
 
 /// What to measure.
 #[derive(Debug, Args)]
@@ -66,22 +65,17 @@ pub fn run(options: &Options) -> Result<Value> {
     let model = dermis_hapdef::model(&skin)?;
     let set_up = begun.elapsed().as_secs_f64();
     let surface = model.surface();
-    let mesh = ShellMesh { points: surface.points.clone(), triangles: surface.triangles.clone() };
-    let [low, high] = [f64::min, f64::max].map(|pick| mesh.points.iter().map(|p| p.x).fold(0.0, pick));
-    let clamped: Vec<usize> =
-        (0..mesh.points.len()).filter(|&n| mesh.points[n].x <= low || mesh.points[n].x >= high).collect();
-    let supports: Vec<Support> = clamped.iter().map(|&n| Support::clamped(n)).collect();
-
-    let mut shell = Shell::new(mesh, &[SECTION], &supports)?;
+    // By the theory of the skin file, on the triangles that its model takes.
+    let Solved { mut shell, section, held } = Solved::new(&skin)?;
     let factor = best(options.repeats, || Ok(shell.refactor()?))?;
     let watch = Watch::new()?;
-    let green = shell.normal_green(&surface.normals)?;
+    let green = shell.normal_green_of_first(&surface.normals)?;
     let columns = watch.read()?;
     let one = Action::force(surface.points.len() / 2, Vector3::z());
     let load = best(options.repeats, || Ok(shell.solve(std::slice::from_ref(&one)).map(drop)?))?;
     eprintln!(
         "{} nodes, {} unknowns: factored in {:.1} ms, {} loads in {:.2} s ({:.2} s of CPU time), one in {:.2} ms",
-        surface.points.len(),
+        shell.mesh().points.len(),
         shell.unknowns(),
         factor.clock * 1e3,
         green.nodes(),
@@ -91,7 +85,12 @@ pub fn run(options: &Options) -> Result<Value> {
     );
     let mut result = json!({
         "skin": skin.name,
-        "nodes": surface.points.len(),
+        "theory": match section.theory {
+            PlateTheory::KirchhoffLove => "kirchhoff-love",
+            PlateTheory::ReissnerMindlin => "reissner-mindlin",
+        },
+        "points": surface.points.len(),
+        "nodes": shell.mesh().points.len(),
         "unknowns": shell.unknowns(),
         "ours": { "factor_s": factor.json(), "all_loads_s": columns.json(), "one_load_s": load.json() },
     });
@@ -116,7 +115,7 @@ pub fn run(options: &Options) -> Result<Value> {
         }
     }
 
-    let judged = solids(&shell, surface, &clamped)?;
+    let judged = solids(&section, surface, &held)?;
     if let Some(seconds) = judged {
         let per_load = columns.clock / green.nodes() as f64;
         eprintln!(
@@ -234,10 +233,11 @@ fn cholmod(python: &Path, folder: &Path, threads: usize, options: &Options) -> R
 }
 
 /// \[s\] of CalculiX for the first load on 20-node hexahedra over the same cells, and for each further one. `None` where it is not
-/// installed, or the shell is not made of quadrilaterals.
-fn solids(shell: &Shell, surface: &Surface, clamped: &[usize]) -> Result<Option<[f64; 2]>> {
-    let Some(quads) = Quads::join(shell.mesh()).filter(|_| calculix::available()) else {
-        eprintln!("CalculiX is left out: it is not installed, or the shell is not made of quadrilaterals");
+/// installed, or the surface is not made of quadrilaterals.
+fn solids(section: &Section, surface: &Surface, clamped: &[usize]) -> Result<Option<[f64; 2]>> {
+    let mesh = ShellMesh { points: surface.points.clone(), triangles: surface.triangles.clone() };
+    let Some(quads) = Quads::join(&mesh).filter(|_| calculix::available()) else {
+        eprintln!("CalculiX is left out: it is not installed, or the surface is not made of quadrilaterals");
         return Ok(None);
     };
     let centre = surface.project(&Point3::new(0.0, 0.0, 1.0)).0;
@@ -245,7 +245,7 @@ fn solids(shell: &Shell, surface: &Surface, clamped: &[usize]) -> Result<Option<
     let panel = Panel {
         name: "bench",
         quads: &quads,
-        section: &SECTION,
+        section,
         clamped,
         centre,
         patch: 0.005,

@@ -20,6 +20,9 @@ use crate::dataset::{Dataset, SampleId, Truth};
 use crate::metrics::{Bin, ContactError, bin_in, bins, median};
 
 mod shown;
+mod undetermined;
+
+pub use undetermined::{Uncounted, UncountedBin, Undetermined};
 
 /// Frames that are bounded at most; of more, every n-th is taken.
 pub const MOST: usize = 6000;
@@ -95,6 +98,9 @@ pub struct AgainstBound {
     /// locations is that of the few where the channels hardly tell the place.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub well_determined: Option<WellDetermined>,
+    /// Contacts that have an error and an infinite bound, and stand in no figure here; absent where there are none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub undetermined: Option<Undetermined>,
 }
 
 /// Contacts whose position the channels determine well.
@@ -250,7 +256,8 @@ impl FrameBounds {
         })
     }
 
-    /// Errors of an estimator beside the bounds of the very same contacts. Those whose bound is infinite are left out.
+    /// Errors of an estimator beside the bounds of the very same contacts. Those whose bound is infinite are counted for themselves; a
+    /// quantity of which every bound is infinite stands in [`Unbounded::undetermined`] alone.
     #[must_use]
     pub fn against(&self, errors: &[ContactError], edges: &[f64]) -> Vec<AgainstBound> {
         type Of = fn(&ContactError, &ContactBound) -> (f64, f64);
@@ -262,6 +269,7 @@ impl FrameBounds {
             ("angle", "rad", |e, b| (e.angle, b.shear.map_or(f64::NAN, |shear| shear / e.force))),
         ];
         let mut pairs: BTreeMap<(usize, usize), Vec<(f64, Pair)>> = BTreeMap::new();
+        let mut open: BTreeMap<(usize, usize), Vec<(f64, f64)>> = BTreeMap::new();
         for error in errors {
             let [contact, of] = error.contact;
             let Some(all) = self.frames.get(&error.id).filter(|all| all.len() == of) else { continue };
@@ -269,6 +277,8 @@ impl FrameBounds {
                 let (value, bound) = value(error, &all[contact].1);
                 if value.is_finite() && bound.is_finite() && bound > 0.0 {
                     pairs.entry((of, quantity)).or_default().push((error.force, (value, bound, error.found)));
+                } else if value.is_finite() && bound.is_infinite() {
+                    open.entry((of, quantity)).or_default().push((error.force, value));
                 }
             }
         }
@@ -288,6 +298,9 @@ impl FrameBounds {
             let some = name == "position" && well.len() < all.len();
             let well_determined = some.then(|| ratios(&well)).flatten();
             let (whole, by_force) = ratios(&all)?;
+            let forces: Vec<f64> = all.iter().map(|(force, _)| *force).collect();
+            let undetermined =
+                open.get(&(contacts, quantity)).and_then(|open| Undetermined::of(open, &forces, edges));
             Some(AgainstBound {
                 contacts,
                 quantity: name.to_owned(),
@@ -299,6 +312,7 @@ impl FrameBounds {
                     all,
                     by_force,
                 }),
+                undetermined,
             })
         };
         pairs.into_iter().filter_map(sum_up).collect()
@@ -384,6 +398,35 @@ mod tests {
         assert!(against.iter().all(|a| a.quantity == "position" || a.well_determined.is_none()));
         let sharp = bounds.against(&errors[..2], &FORCE_BINS);
         assert!(sharp.iter().all(|a| a.well_determined.is_none()));
+    }
+
+    #[test]
+    fn contacts_without_a_finite_bound_are_counted() {
+        let ids = [0, 1, 2, 3].map(|sample| SampleId { run: 0, sample });
+        let bound_of = [1e-3, f64::INFINITY, f64::INFINITY, 2e-3];
+        let frames = ids.into_iter().zip(bound_of.map(|b| vec![bound(b)])).collect();
+        let bounds = FrameBounds { frames, ..FrameBounds::default() };
+        let mut errors: Vec<ContactError> =
+            ids.iter().zip([1e-3, 3e-3, 4e-3, 2e-3]).map(|(id, e)| error(*id, [0, 1], e, 0.1)).collect();
+        // The last one presses harder, and is the only one of its bin.
+        errors[3].force = 5.0;
+        let against = bounds.against(&errors, &[0.5, 2.0]);
+        let position = against.iter().find(|a| a.quantity == "position").unwrap();
+        assert_eq!(position.all.samples, 2);
+        let open = position.undetermined.as_ref().unwrap();
+        assert_eq!((open.all.contacts, open.all.share), (2, 0.5));
+        approx::assert_relative_eq!(open.all.error_rms, (12.5e-6_f64).sqrt(), max_relative = 1e-12);
+        let bins: Vec<_> = open.by_force.iter().map(|b| (b.from, b.to, b.uncounted.contacts)).collect();
+        assert_eq!(bins, [(0.5, Some(2.0), 2)]);
+        approx::assert_relative_eq!(open.by_force[0].uncounted.share, 2.0 / 3.0, max_relative = 1e-12);
+        let text = position.to_string();
+        let line = text.lines().find(|l| l.contains("bound is infinite")).unwrap();
+        insta::assert_snapshot!(line.trim(), @"left out, the bound is infinite: 2 of 4 contacts (50.0 %), error RMS 3.536; of 0.5-2 N 2 (66.7 %)");
+        // Forces are bounded.
+        assert!(against.iter().all(|a| a.quantity == "position" || a.undetermined.is_none()));
+        let json = serde_json::to_value(&against).unwrap();
+        assert_eq!(json[0]["undetermined"]["all"]["contacts"], 2);
+        assert_eq!(serde_json::from_value::<Vec<AgainstBound>>(json).unwrap(), against);
     }
 
     fn error(id: SampleId, contact: [usize; 2], position: f64, normal_force: f64) -> ContactError {

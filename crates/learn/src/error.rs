@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use dermis_bag::BagError;
-use dermis_inference::{BundleError, FeatureError, ModelError, OutputError};
+use dermis_inference::{BundleError, FeatureError, JoinError, ModelError, OutputError};
 use dermis_skin::EstimateError;
 
 use crate::Findings;
@@ -97,6 +97,9 @@ pub enum LearnError {
     /// A model bundle cannot be read or written.
     #[error(transparent)]
     Bundle(#[from] BundleError),
+    /// Two bundles cannot become one.
+    #[error(transparent)]
+    Join(#[from] JoinError),
     /// A model does not run.
     #[error("model: {0}")]
     Model(#[from] ModelError),

@@ -5,6 +5,7 @@
 //! | data set | [`Dataset`] | frames of labelled bags, tared as a node tares them, joined with the ground truth |
 //! | map | [`LabelMap`] | how a robot's and a force sensor's topics become ground truth |
 //! | import | [`import_onnx`](import_onnx::import_onnx) | an ONNX graph that was trained elsewhere becomes a bundle |
+//! | join | [`join`](join::join_bundles) | a transfer network and what was trained on the forward model become one bundle |
 //! | export | [`export`] | Parquet and NPZ, for people who train elsewhere |
 //! | finding | [`Findings`] | what data lack, and what that blocks |
 //! | target | [`Target`](target::Target) | what a model learns: scalars of a contact, or maps over the surface |
@@ -29,6 +30,7 @@ mod evaluator;
 pub mod export;
 mod findings;
 pub mod import_onnx;
+pub mod join;
 mod map;
 mod metrics;
 pub mod picture;
@@ -42,7 +44,7 @@ pub mod train;
 
 pub use bounds::{
     AgainstBound, Bounds, FrameBounds, MOST as MOST_BOUNDED, OfSeveral, Ratio, RatioBin, Unbounded,
-    WellDetermined, frame_bounds, stimulus,
+    Uncounted, UncountedBin, Undetermined, WellDetermined, frame_bounds, stimulus,
 };
 pub use dataset::{Dataset, DatasetOptions, FrameInfo, Run, Sample, SampleId, Truth, TruthContact};
 pub use error::LearnError;
@@ -53,8 +55,8 @@ pub use findings::{Finding, Findings};
 pub use map::{Bias, Carrier, ContactRule, Exerted, ForceSide, Join, LabelMap, Mount, RobotSide, SkinSide};
 pub use metrics::{
     Answer, Bin, COUNTED_FROM, ChannelErrors, ContactError, ContactsOfMaps, ContactsRead, FORCE_BINS,
-    MapContacts, MapErrors, MapOfNumber, MapPart, MapReading, MapScores, MapSummary, Rule, Scores, Spread,
-    StrongestErrors, StrongestPart, Summary, bins,
+    MapContacts, MapErrors, MapExample, MapOfNumber, MapPart, MapReading, MapScores, MapSummary, Rule,
+    Scores, Spread, StrongestErrors, StrongestPart, Summary, bins,
 };
 pub use recordings::{Recorded, superpose};
 pub use split::{Split, SplitConfig, SplitKind};

@@ -19,11 +19,13 @@ use nalgebra::{Point3, Vector3};
 use crate::dataset::{SampleId, Truth, TruthContact};
 
 mod contacts;
+mod examples;
 mod maps;
 mod statistics;
 mod strongest;
 
 pub use contacts::{ContactsOfMaps, ContactsRead, MapContacts, MapReading, Spread};
+pub use examples::MapExample;
 pub(crate) use maps::MapScorer;
 pub use maps::{ChannelErrors, MapErrors, MapOfNumber, MapPart, MapScores, MapSummary};
 pub(crate) use statistics::median;

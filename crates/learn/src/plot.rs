@@ -1,4 +1,6 @@
-//! A report that a browser shows without anything else: tables, error map, truth against estimate.
+//! A report that a browser shows without anything else: tables, error map, truth against estimate, examples of maps.
+
+mod maps;
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -81,6 +83,7 @@ impl Report {
                 "Estimates against the ground truth: positions and normal forces, as far as there are any.";
             self.body.push_str(&figure(&pictures, caption));
         }
+        self.body.push_str(&maps::of_maps(evaluation)?);
         Ok(())
     }
 

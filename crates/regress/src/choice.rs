@@ -104,7 +104,7 @@ impl Method {
             Self::Gaussian => {
                 let kernels = [Kernel::Gaussian, Kernel::Matern].into_iter();
                 let kernels = kernels.flat_map(|k| [0.01, 0.03, 0.1, 0.3, 1.0].map(|g| (k, g)));
-                let of = |kernel, gamma, noise| GaussianSettings { kernel, gamma, noise };
+                let of = |kernel, gamma, noise| GaussianSettings { kernel, gamma, noise, supports: None };
                 let all = kernels
                     .flat_map(|(k, g)| [1e-5, 1e-4, 1e-3, 1e-2].map(|n| Settings::Gaussian(of(k, g, n))));
                 all.collect()
@@ -153,6 +153,15 @@ impl Method {
 }
 
 impl Settings {
+    /// The same, with answers of a Gaussian process that are a sum over `most` rows at most.
+    #[must_use]
+    pub fn with_supports(self, most: usize) -> Self {
+        match self {
+            Self::Gaussian(settings) => Self::Gaussian(GaussianSettings { supports: Some(most), ..settings }),
+            other => other,
+        }
+    }
+
     /// Fits every column of `targets`.
     ///
     /// # Errors

@@ -19,7 +19,7 @@ mod trees;
 pub use choice::{Fitted, Method, Settings, Tuning};
 pub use error::RegressError;
 pub use folds::{folds, shuffled};
-pub use gaussian::{GaussianSettings, gaussian_process};
+pub use gaussian::{EXACT, GaussianSettings, SUPPORTS, gaussian_process};
 pub use kernel::{Kernel, KernelExpansion};
 pub use neighbours::Neighbours;
 pub use rows::{Rows, Standard, stride};

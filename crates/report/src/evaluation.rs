@@ -76,6 +76,15 @@ fn table(own: &Evaluation, others: &[BaselineComparison]) -> String {
             }
             let _ = writeln!(out);
         }
+        let Some(open) = &of.undetermined else { continue };
+        let _ = write!(out, "  {:<22}", "bound infinite");
+        for bin in bins {
+            let same = open.by_force.iter().find(|b| b.from == bin.from).map(|b| b.uncounted);
+            let cell =
+                same.map_or_else(|| "0".to_owned(), |u| format!("{} ({:.1} %)", u.contacts, u.share * 100.0));
+            let _ = write!(out, "{cell:>18}");
+        }
+        let _ = writeln!(out);
     }
     if out.is_empty() {
         out.push_str(

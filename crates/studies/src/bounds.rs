@@ -31,7 +31,7 @@ use serde_json::json;
 use crate::{Families, Progress};
 
 pub use sources::Source;
-pub use summary::{alphas, by_interval, median, summary};
+pub use summary::{alphas, by_interval, median, share_by_interval, summary};
 use surface::surface_study;
 pub use trends::{Trend, TrendCurve, trends};
 

@@ -48,10 +48,11 @@ pub struct Request {
     /// Neighbours of the nearest-neighbour estimator in units of the noise.
     #[arg(long, default_value_t = Request::default().neighbours)]
     pub neighbours: usize,
-    /// Readings that extra trees and tuned neighbours learn from at most; of more, every n-th is taken.
+    /// Readings that extra trees, tuned neighbours and a Gaussian process (of more than 8,000 sparse) learn from at most; of more, every
+    /// n-th is taken.
     #[arg(long, default_value_t = Request::default().learn)]
     pub learn: usize,
-    /// Readings that support vectors and a Gaussian process learn from at most; 0 leaves all four out.
+    /// Readings that support vectors learn from at most; 0 leaves all four out.
     #[arg(long, default_value_t = Request::default().vectors)]
     pub vectors: usize,
     /// Readings that are compared at most; of more, every n-th is taken.
@@ -295,7 +296,7 @@ fn methods(
         } else {
             for method in Method::ALL {
                 progress.begin(&format!("{}: learning", method.in_words()));
-                let most = Most { all: options.learn, kernels: options.vectors };
+                let most = Most { all: options.learn, vectors: options.vectors };
                 let (finder, _) = regressions::tuned(method, skin, &presses, most)?;
                 let name = match method {
                     Method::Neighbours => "tuned nearest neighbours, direction and log-norm",

@@ -5,15 +5,17 @@
 //! | nearest neighbours | mean of the nearest rows' contacts, weighted by the inverse of their distance |
 //! | support vectors | ε-insensitive support vector regression |
 //! | extra trees | extremely randomised trees |
-//! | Gaussian process | posterior mean |
+//! | Gaussian process | posterior mean; of more than 8,000 readings by a sum over 2,500 of them, fitted to all (subset of regressors) |
 //! | feed-forward network | three layers of 256 |
 //!
-//! All take what our networks take: the direction of the readings in deviations of their noise, and the logarithm of their length. Where
-//! a contact is shows in the one, how hard it presses in the other; raw readings, whose sizes go over three decades, would make the
-//! comparison too easy. Place and force are fitted apart, each with the settings of the least error over locations that were not learned
-//! from ([`dermis_regress::Method::tuned`]), within what may be learned from.
+//! All take what our networks take: the direction of the readings in deviations of their noise, and the logarithm of their length.
+//! Where a contact is shows in the one, how hard it presses in the other; raw readings, whose sizes go over three decades, would
+//! make the comparison too easy. Place and force are fitted apart, each with the settings of the least error over locations that
+//! were not learned from ([`dermis_regress::Method::tuned`]), within what may be learned from.
 //!
-//! Cost: a Gaussian process of n rows takes n³/3 operations, hence [`Most`].
+//! Cost: support vectors take the square of the rows and more, hence [`Most`]; a Gaussian process of n rows n³/3 multiplications
+//! and 8n² bytes up to [`dermis_regress::EXACT`] rows, beyond them n times the square of [`dermis_regress::SUPPORTS`], a minute for
+//! 30,000 and 200 MB beside the rows.
 
 use anyhow::{Result, bail};
 use dermis_estimate::finder::RegressionFinder;
@@ -27,17 +29,17 @@ use serde_json::{Value, json};
 /// Rows that are learned from at most: of more, every n-th is taken.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Most {
-    /// By neighbours, trees and the network.
+    /// By neighbours, trees, Gaussian processes and the network.
     pub(crate) all: usize,
-    /// By support vectors and Gaussian processes, whose cost grows with the square or cube.
-    pub(crate) kernels: usize,
+    /// By support vectors, whose cost grows with the square and faster.
+    pub(crate) vectors: usize,
 }
 
 impl Most {
     fn of(self, method: Method) -> usize {
         match method {
-            Method::Neighbours | Method::Trees => self.all,
-            Method::Vectors | Method::Gaussian => self.kernels,
+            Method::Neighbours | Method::Trees | Method::Gaussian => self.all,
+            Method::Vectors => self.vectors,
         }
     }
 }
@@ -139,7 +141,12 @@ pub(crate) fn tuned(
     let inputs = Rows::new(&some.inputs, some.width, "readings")?;
     let fitted = |targets: Rows<'_>| -> Result<(Fitted, Value)> {
         let (settings, error) = method.tuned(inputs, targets, &some.locations, &tuning)?;
-        Ok((settings.fit(inputs, targets)?, json!({ "settings": settings, "error": error })))
+        let fitted = settings.fit(inputs, targets)?;
+        let mut found = json!({ "settings": settings, "error": error });
+        if let Some(kernels) = fitted.expansion() {
+            found["supports"] = json!(kernels.supports.len() / some.width);
+        }
+        Ok((fitted, found))
     };
     // Metres and newtons are scaled for themselves: outputs of one fit share a scale.
     let (place, of_place) = fitted(Rows::new(&some.positions, 3, "locations")?)?;
@@ -186,8 +193,8 @@ pub(crate) fn network(
     Ok((RegressionFinder::new(skin, Box::new(regress)), json!({ "learned": learned.len() })))
 }
 
-/// A row of readings in deviations of their noise as its direction, and the logarithm of its length: where a contact is shows in the
-/// one, how hard in the other. One deviation a channel is added to the length, so that noise alone has none.
+/// A row of readings in deviations of their noise as its direction, and the logarithm of its length: where a contact is shows in
+/// the one, how hard in the other. One deviation a channel is added to the length, so that noise alone has none.
 fn direction(row: &[f64]) -> Vec<f64> {
     let width = row.len() as f64;
     let length = (row.iter().map(|v| v * v).sum::<f64>() + width).sqrt();
@@ -228,7 +235,7 @@ mod tests {
             image: &[],
             image_signal: &[],
         };
-        let most = Most { all: 300, kernels: 300 };
+        let most = Most { all: 300, vectors: 300 };
         for method in Method::ALL {
             let (mut finder, settings) = tuned(method, &skin, &learned, most).unwrap();
             let found = finder.find(&frame(&signal)).unwrap().remove(0);
@@ -237,6 +244,13 @@ mod tests {
             assert!((found.force.z + 1.2).abs() < 0.4, "{method:?}: {} {settings}", found.force);
             assert_eq!(found.force_components, ForceComponents::Full);
             assert_eq!(settings["learned"], 84);
+            let supports = settings["position"]["supports"].as_u64();
+            assert_eq!(
+                supports.is_some(),
+                matches!(method, Method::Vectors | Method::Gaussian),
+                "{settings}"
+            );
+            assert!(method != Method::Gaussian || supports == Some(84), "{settings}");
         }
         let none = Learned::new(&skin, ForceComponents::Full);
         assert!(tuned(Method::Vectors, &skin, &none, most).is_err());

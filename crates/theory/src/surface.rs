@@ -33,6 +33,8 @@ pub struct Summary {
     pub p95: f64,
     /// At the worst point.
     pub max: f64,
+    /// Share of the skin, 0 to 1, where the bound is infinite: the channels do not tell it there, and the root mean square has no end.
+    pub infinite: f64,
 }
 
 impl Summary {
@@ -56,6 +58,9 @@ impl Summary {
             median: quantile(0.5),
             p95: quantile(0.95),
             max: weighted.last().map_or(f64::NAN, |(value, _)| *value),
+            // Sums of nothing are −0.
+            infinite: weighted.iter().filter(|(v, _)| v.is_infinite()).fold(0.0, |sum, (_, area)| sum + area)
+                / total,
         }
     }
 }
@@ -210,7 +215,9 @@ mod tests {
         let summary = Summary::of([1.0, 2.0, 10.0].into_iter(), &[1.0, 8.0, 1.0]);
         assert_eq!((summary.median, summary.max), (2.0, 10.0));
         assert!((summary.rms - (133.0f64 / 10.0).sqrt()).abs() < 1e-12);
-        assert_eq!(Summary::of([f64::INFINITY, 1.0].into_iter(), &[1.0, 1.0]).rms, f64::INFINITY);
+        let open = Summary::of([f64::INFINITY, 1.0].into_iter(), &[1.0, 3.0]);
+        assert_eq!((open.rms, open.median, open.infinite), (f64::INFINITY, 1.0, 0.25));
+        assert_eq!(summary.infinite, 0.0);
     }
 
     #[test]

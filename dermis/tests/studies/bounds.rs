@@ -67,7 +67,7 @@ fn the_row_is_bounded_as_a_prototype_found() {
 #[test]
 fn the_row_is_reported_on_one_screen() {
     let options = options("baro-line.toml", true);
-    let findings = find(&options).unwrap();
+    let mut findings = find(&options).unwrap();
     insta::assert_snapshot!(report::text(&findings), @r#"
 baro-line: least error of one contact from one frame (Cramér–Rao), tip of 4 mm, over the surface
 
@@ -87,6 +87,10 @@ row of 6 taxels, 32.500 mm: c(0) = 0.156 N/kPa, linear within 1 %; F_S from 0.01
   Cramér–Rao bound of all               0.436    0.125    0.073    0.042    0.028    0.020    0.016
   Ω (5.20), mean over force: 71 by fits, 72 by corners, 102 by the bound; with the testbed (5.21): 56, 58, 75
 "#);
+    // What no channel tells somewhere is said with its share.
+    findings.maps[0].position.infinite = 0.125;
+    let open = "at 0.2 N the channels do not tell the place on 12.5 % of the surface";
+    assert!(report::text(&findings).contains(open), "{}", report::text(&findings));
 }
 
 /// The tip and the forces that the panel is rated for, and no isolines: each of its channels reads the whole sheet.

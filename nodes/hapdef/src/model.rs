@@ -6,10 +6,11 @@
 //! products. Several touches add up; what a stiffer, deflected shell takes away (`geometric-stiffening`) is taken at each.
 
 mod nodes;
+mod solved;
 
 use std::sync::OnceLock;
 
-use dermis_mechanics::shell::{Action, Face, Gauge, PlateTheory, Shell, ShellMesh, Support};
+use dermis_mechanics::shell::{Action, Face, Gauge, Shell};
 use dermis_model::{DeviceState, ForwardModel, Indentation, Stepped, Stimulus};
 use dermis_skin::cache::{self, Bytes, Keep, Key};
 use dermis_skin::{ModelError, SkinDescription, Surface};
@@ -17,8 +18,10 @@ use nalgebra::{Point3, Vector3};
 use pulp::{Arch, Simd, WithSimd};
 
 use crate::effects::{self, Dynamics};
-use crate::parameters::{Clamp, Parameters, StrainGauge, impossible};
+use crate::parameters::{Parameters, StrainGauge, impossible};
 use nodes::Nodes;
+pub use solved::Solved;
+pub(crate) use solved::{Triangles, shell, shell_on};
 
 /// Points of a map that are summed at once: they stay in the nearest cache.
 const PIECE: usize = 512;
@@ -125,46 +128,6 @@ impl WithSimd for AddUp<'_> {
     }
 }
 
-/// The shell of these numbers. Its first nodes lie under the points of the surface.
-pub(crate) fn shell(skin: &SkinDescription, parameters: &Parameters) -> Result<Shell, ModelError> {
-    let surface = &parameters.surface;
-    let points = surface.points.iter().zip(&surface.normals);
-    let mesh = ShellMesh {
-        points: points.map(|(p, n)| parameters.middle(p, n)).collect(),
-        triangles: surface.triangles.clone(),
-    };
-    let refused = impossible(skin, "surface");
-    match parameters.theory {
-        PlateTheory::KirchhoffLove => {
-            let supports = supports(parameters, &parameters.held);
-            Shell::new(mesh, &parameters.sections, &supports).map_err(refused)
-        }
-        PlateTheory::ReissnerMindlin => {
-            let refined = mesh.graded(|p| {
-                let (outside, normal) = surface.project(&p);
-                parameters.middle(&outside, &normal)
-            });
-            let supports = supports(parameters, &refined.inherit(&parameters.held));
-            let sections = match &parameters.sections[..] {
-                [one] => vec![one.clone()],
-                each => refined.parents.iter().map(|t| each[*t as usize].clone()).collect(),
-            };
-            Shell::new(refined.mesh, &sections, &supports).map_err(refused)
-        }
-    }
-}
-
-fn supports(parameters: &Parameters, held: &[usize]) -> Vec<Support> {
-    let share = 1.0 / held.len() as f64;
-    let support = |&node: &usize| match parameters.clamp {
-        Clamp::Rigid => Support::clamped(node),
-        Clamp::Springs { translation, rotation } => {
-            Support::spring(node, translation * share, rotation * share)
-        }
-    };
-    held.iter().map(support).collect()
-}
-
 /// A gauge as mechanics knows it, across its axis where it is turned by a right angle.
 pub(crate) fn rectangle(gauge: &StrainGauge, thickness: f64, across: bool) -> Gauge {
     let [length, width] = gauge.size;
@@ -245,7 +208,22 @@ impl ShellModel {
         let design = Design { skin: skin.clone(), parameters, shell: OnceLock::new() };
         let what = "how the gauges of the shell feel a force anywhere (finite elements)";
         let influence: Vec<f64> = cache::kept(what, design.key("shell-strains"), || strains(&design))?;
-        let Design { parameters, .. } = &design;
+        Self::of(design, influence)
+    }
+
+    /// On another shell of the same surface, whose results are not kept.
+    pub(crate) fn on(
+        skin: &SkinDescription,
+        parameters: Parameters,
+        shell: Shell,
+    ) -> Result<Self, ModelError> {
+        let design = Design { skin: skin.clone(), parameters, shell: OnceLock::from(Ok(shell)) };
+        let influence = strains(&design)?;
+        Self::of(design, influence)
+    }
+
+    fn of(design: Design, influence: Vec<f64>) -> Result<Self, ModelError> {
+        let Design { parameters, skin, .. } = &design;
         let channels = parameters.gauges.len();
         if influence.len() != 3 * channels * parameters.surface.points.len() {
             return Err(skin.refusal("surface", "has other points than were solved".into()));

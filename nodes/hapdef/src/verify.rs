@@ -10,6 +10,10 @@ use nalgebra::{Point3, Vector3};
 use crate::model::{ShellModel, rectangle};
 use crate::parameters::Parameters;
 
+mod convergence;
+
+pub use convergence::{Converged, convergence};
+
 /// Reference of the limb's cases.
 const SOURCE: &str = "CalculiX ccx, run now";
 /// The limb itself.
@@ -56,7 +60,7 @@ const WITHIN: [f64; 2] = [0.04, 0.03];
 /// solids of 1.2 mm. Of each kind of touch there are two cases: the worst reading of all, and the root mean square of all.
 fn limb(shin: &SkinDescription) -> Result<Vec<Case>, VerifyError> {
     let locations = locations(shin);
-    let Some(readings) = solids(shin, &locations)? else { return Ok(vec![unjoined()]) };
+    let Some(readings) = solids(shin, &locations, 1)? else { return Ok(vec![unjoined()]) };
     let mut thin = shin.clone();
     thin.medium.insert("theory".into(), "kirchhoff-love".into());
     let models = [ShellModel::new(shin)?, ShellModel::new(&thin)?];
@@ -127,6 +131,16 @@ struct Compared {
 }
 
 impl Compared {
+    /// Every gauge of one touch.
+    fn of(location: Point3<f64>, ours: &[f64], solid: &[f64]) -> Vec<Self> {
+        let peak = solid.iter().fold(0.0f64, |peak, r| peak.max(r.abs()));
+        let norm = solid.iter().map(|r| r * r).sum::<f64>().sqrt();
+        let pairs = ours.iter().zip(solid).enumerate();
+        pairs
+            .map(|(gauge, (ours, theirs))| Self { location, gauge, strains: [*ours, *theirs], peak, norm })
+            .collect()
+    }
+
     fn off(&self) -> f64 {
         (self.strains[0] - self.strains[1]).abs() / self.peak
     }
@@ -167,23 +181,17 @@ fn compare(
         let contact = Indentation::sphere(*location, force(normal, along), 2.0 * patch);
         let mut read = vec![0.0; model.channels()];
         model.response(&Stimulus { contacts: vec![contact], ..Stimulus::default() }, &mut read)?;
-        let peak = solid.iter().fold(0.0f64, |peak, r| peak.max(r.abs()));
-        let norm = solid.iter().map(|r| r * r).sum::<f64>().sqrt();
-        out.extend(read.iter().zip(solid).enumerate().map(|(gauge, (ours, theirs))| Compared {
-            location: *location,
-            gauge,
-            strains: [*ours, *theirs],
-            peak,
-            norm,
-        }));
+        out.extend(Compared::of(*location, &read, solid));
     }
     Ok(out)
 }
 
-/// What CalculiX says that the gauges read: of each kind of touch, place and gauge. `None` where the mesh makes no solids.
+/// What CalculiX says that the gauges read: of each kind of touch, place and gauge. The cells of the surface are split into four so many
+/// times. `None` where the mesh makes no solids.
 fn solids(
     skin: &SkinDescription,
     locations: &[(Point3<f64>, Vector3<f64>)],
+    halvings: usize,
 ) -> Result<Option<Vec<Vec<Vec<f64>>>>, VerifyError> {
     let parameters = Parameters::nominal(skin)?;
     let surface = &parameters.surface;
@@ -193,11 +201,13 @@ fn solids(
         triangles: surface.triangles.clone(),
     };
     // A panel has two triangles a cell, and the shin is one.
-    let Some(quads) = Quads::join(&mesh) else { return Ok(None) };
-    let quads = quads.quartered(|p| {
-        let (outside, normal) = surface.project(&p);
-        parameters.middle(&outside, &normal)
-    });
+    let Some(mut quads) = Quads::join(&mesh) else { return Ok(None) };
+    for _ in 0..halvings {
+        quads = quads.quartered(|p| {
+            let (outside, normal) = surface.project(&p);
+            parameters.middle(&outside, &normal)
+        });
+    }
     // Its ends.
     let end = quads.points.iter().fold(0.0f64, |end, p| end.max(p.x.abs())) * (1.0 - 1e-9);
     let clamped: Vec<usize> = (0..quads.points.len()).filter(|&n| quads.points[n].x.abs() >= end).collect();

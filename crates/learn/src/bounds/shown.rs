@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::{AgainstBound, Bounds, Ratio, RatioBin, Unbounded};
+use super::{AgainstBound, Bounds, Ratio, RatioBin, Unbounded, Undetermined};
 use crate::metrics::Bin;
 
 impl fmt::Display for Bounds {
@@ -76,6 +76,25 @@ fn of_bins<'a>(which: &str, all: &'a Ratio, bins: &'a [RatioBin]) -> Vec<(String
     .collect()
 }
 
+impl Undetermined {
+    /// One line: how many, of these and of `bounded` others, and where; errors are multiplied by `factor`.
+    fn line(&self, bounded: usize, factor: f64) -> String {
+        let all = self.all;
+        let by_force = self.by_force.iter().map(|b| {
+            let to = b.to.map_or_else(|| "+".to_owned(), |to| format!("-{to}"));
+            format!("{}{to} N {} ({:.1} %)", b.from, b.uncounted.contacts, b.uncounted.share * 100.0)
+        });
+        let by_force = by_force.collect::<Vec<_>>().join(", ");
+        format!(
+            "left out, the bound is infinite: {} of {} contacts ({:.1} %), error RMS {}; of {by_force}",
+            all.contacts,
+            all.contacts + bounded,
+            all.share * 100.0,
+            short(all.error_rms * factor)
+        )
+    }
+}
+
 /// A number that leaves room to its neighbour in a table: bounds of contacts that no reading tells apart have no end.
 fn short(value: f64) -> String {
     match value.abs() {
@@ -111,7 +130,8 @@ impl fmt::Display for AgainstBound {
                 r.median_ratio
             )?;
         }
-        Ok(())
+        let Some(open) = &self.undetermined else { return Ok(()) };
+        writeln!(f, "  {}", open.line(self.all.samples, factor))
     }
 }
 

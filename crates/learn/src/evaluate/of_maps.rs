@@ -270,6 +270,7 @@ mod tests {
                 by_force: Vec::new(),
             }),
             channels: None,
+            examples: Vec::new(),
         };
         let mut evaluation = Evaluation::of(&Scores::default(), "made up", 3, 0, 0);
         evaluation.maps.insert("map.normal".into(), errors);

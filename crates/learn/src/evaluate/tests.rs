@@ -117,6 +117,7 @@ fn people_read_errors_of_maps() {
         contacts: Vec::new(),
         strongest: None,
         channels: None,
+        examples: Vec::new(),
     };
     let mut depths = of("m", part(40, 0), part(0, 0));
     depths.touched = MapPart { rms: Some(12.5e-6), total_force: None, ..depths.touched };

@@ -13,6 +13,7 @@ use dermis_skin::{Estimate, ForceValues};
 use serde::{Deserialize, Serialize};
 
 use super::contacts::{ContactsOfMaps, MapContacts, MapReading};
+use super::examples::{Examples, MapExample};
 use super::strongest::{StrongestErrors, StrongestPoints};
 use crate::LearnError;
 use crate::dataset::Truth;
@@ -39,6 +40,9 @@ pub struct MapErrors {
     /// Of every channel on touched frames; only of `signal`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub channels: Option<ChannelErrors>,
+    /// Single frames, for people, by ascending number of contacts; only of maps of forces on surfaces that are seen from above.
+    #[serde(skip)]
+    pub examples: Vec<MapExample>,
 }
 
 /// Errors of a signal, channel by channel, in the unit of the skin: what a transfer network leaves.
@@ -137,6 +141,7 @@ struct Collected {
     contacts: Option<ContactsOfMaps>,
     strongest: Option<StrongestPoints>,
     channels: Option<ChannelSums>,
+    examples: Option<Examples>,
 }
 
 /// What [`ChannelErrors`] are made of (Welford 1962).
@@ -222,6 +227,7 @@ impl MapScorer {
                     .map(|reading| ContactsOfMaps::new(self.maps.surface(), reading)),
                 strongest: (map == MapTarget::Force).then(|| StrongestPoints::new(self.maps.surface())),
                 channels: (map == MapTarget::Signal).then(ChannelSums::default),
+                examples: map.is_force().then(|| Examples::of(self.maps.surface())),
             });
             collected.sums[part].push(map, &self.truth, &answer);
             if truth.touched() {
@@ -232,6 +238,10 @@ impl MapScorer {
                 }
                 if let Some(strongest) = &mut collected.strongest {
                     strongest.push(truth, &answer);
+                }
+                if let Some(examples) = &mut collected.examples {
+                    let forces = self.maps.pressing(map, &self.truth);
+                    examples.push(truth, &forces, &self.maps.pressing(map, &answer));
                 }
             }
             if let Some(contacts) = &mut collected.contacts {
@@ -269,15 +279,17 @@ impl MapScorer {
             let MapSummary { maps: frames, rms, fvu } = scores.summary();
             (number, MapOfNumber { frames, rms, fvu: Some(fvu).filter(|fvu| fvu.is_finite()) })
         };
-        let errors = |Collected { map, sums, by_number, contacts, strongest, channels }| MapErrors {
-            unit: self.maps.unit(map).into(),
-            touched: sums[1].part(map, touched),
-            untouched: sums[0].part(map, untouched),
-            by_number: by_number.into_iter().map(of_number).collect(),
-            contacts: contacts.map(|contacts| contacts.finish()).unwrap_or_default(),
-            strongest: strongest.and_then(|strongest| strongest.finish()),
-            channels: channels.and_then(ChannelSums::errors),
-        };
+        let errors =
+            |Collected { map, sums, by_number, contacts, strongest, channels, examples }| MapErrors {
+                unit: self.maps.unit(map).into(),
+                touched: sums[1].part(map, touched),
+                untouched: sums[0].part(map, untouched),
+                by_number: by_number.into_iter().map(of_number).collect(),
+                contacts: contacts.map(|contacts| contacts.finish()).unwrap_or_default(),
+                strongest: strongest.and_then(|strongest| strongest.finish()),
+                channels: channels.and_then(ChannelSums::errors),
+                examples: examples.map(Examples::finish).unwrap_or_default(),
+            };
         self.sums.into_iter().map(|(name, of)| (name.to_owned(), errors(of))).collect()
     }
 }

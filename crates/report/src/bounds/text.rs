@@ -2,7 +2,9 @@
 
 use std::fmt::Write as _;
 
-use dermis_studies::bounds::{Findings, INTERVALS, TipChoice, alphas, by_interval, median};
+use dermis_studies::bounds::{
+    Findings, INTERVALS, TipChoice, alphas, by_interval, median, share_by_interval,
+};
 use dermis_theory::{Averages, ByForce, LineStudy};
 
 /// Millimetres, as few digits as say something.
@@ -118,6 +120,19 @@ fn bounds(out: &mut String, findings: &Findings) {
     }
     out.push_str(&table(&rows, &[1, 5]));
     out.push_str("\npositions in mm, forces in N; `-`: the channels do not tell it\n");
+    for map in &findings.maps {
+        for (what, infinite) in [("place", map.position.infinite), ("force", map.normal_force.infinite)] {
+            if infinite > 0.0 {
+                let _ = writeln!(
+                    out,
+                    "at {} N the channels do not tell the {what} on {:.1} % of the surface: the bound is infinite there, and \
+                     so is its RMS",
+                    map.force,
+                    infinite * 100.0
+                );
+            }
+        }
+    }
     let force = options.force.get(options.force.len() / 2).copied().unwrap_or(f64::NAN);
     // From where on all wider ones can be distinguished.
     let from = findings.pairs.iter().rev().take_while(|p| p.resolved).last();
@@ -177,6 +192,20 @@ fn row(out: &mut String, line: &LineStudy, unit: &str) {
     }
     if missing {
         out.push_str("  `-`: no such force was studied, or no isolines cross there\n");
+    }
+    for (name, of) in ways {
+        let shares = share_by_interval(line, of);
+        // Where all of the line has one there is nothing to say.
+        if shares.iter().flatten().all(|share| *share > 0.9995) {
+            continue;
+        }
+        let percent = |share: &Option<f64>| share.map_or_else(|| "-".to_owned(), |s| number(s * 100.0, 1));
+        let shares: Vec<String> = shares.iter().map(percent).collect();
+        let _ = writeln!(
+            out,
+            "  {name}: of {} % of the line and the forces of each interval; elsewhere it has no answer, or no end",
+            shares.join(", ")
+        );
     }
     let f = &line.factors;
     let _ = writeln!(

@@ -20,6 +20,21 @@ pub fn by_interval(line: &LineStudy, of: fn(&ByForce) -> Option<Averages>) -> Ve
         .collect()
 }
 
+/// Share of the locations and the forces of an interval, 0 to 1, that [`by_interval`] is of: elsewhere there is no such estimate,
+/// or no end to its error. `None` where no force of the interval was studied.
+#[must_use]
+pub fn share_by_interval(line: &LineStudy, of: fn(&ByForce) -> Option<Averages>) -> Vec<Option<f64>> {
+    INTERVALS
+        .windows(2)
+        .map(|edges| {
+            let inside =
+                line.by_force.iter().filter(|f| edges[0] - 1e-9 <= f.force && f.force < edges[1] - 1e-9);
+            let shares: Vec<f64> = inside.map(|f| of(f).map_or(0.0, |a| a.share)).collect();
+            (!shares.is_empty()).then(|| shares.iter().sum::<f64>() / shares.len() as f64)
+        })
+        .collect()
+}
+
 /// Median over taxels.
 #[must_use]
 pub fn median(line: &LineStudy, of: impl Fn(&TaxelStudy) -> Option<f64>) -> f64 {
@@ -42,6 +57,11 @@ pub fn summary(findings: &Findings) -> Value {
                 "fits": by_interval(line, |f| f.fits),
                 "corners": by_interval(line, |f| f.corners),
                 "bound": by_interval(line, |f| f.bound),
+            },
+            "share_of_line": {
+                "fits": share_by_interval(line, |f| f.fits),
+                "corners": share_by_interval(line, |f| f.corners),
+                "bound": share_by_interval(line, |f| f.bound),
             },
             "super_resolution": line.factors,
             "told_apart_by_isolines": findings.distinguishable,

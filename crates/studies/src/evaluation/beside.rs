@@ -16,8 +16,8 @@ use serde_json::Value;
 use crate::Progress;
 use crate::regressions::{self, Learned as Presses, Most};
 
-/// Recorded readings that neighbours and trees learn from at most, support vectors and Gaussian processes, and the network.
-const MOST: Most = Most { all: 30_000, kernels: 2500 };
+/// Recorded readings that neighbours, trees and Gaussian processes learn from at most, support vectors, and the network.
+const MOST: Most = Most { all: 30_000, vectors: 2500 };
 const NETWORK: usize = 12_000;
 /// Target readings of every way at most: as many as are held against their bound.
 const MOST_TARGETS: usize = MOST_BOUNDED;

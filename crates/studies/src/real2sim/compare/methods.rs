@@ -62,7 +62,7 @@ pub(super) fn prepare(
 
     progress.begin("regressions");
     let presses = Presses::of(skin, &recorded);
-    let most = Most { all: options.learn, kernels: options.vectors };
+    let most = Most { all: options.learn, vectors: options.vectors };
     let mut notes = tuned.notes;
     let mut regress = |kinds: [Method; 2], methods: &mut Vec<Named>| -> Result<()> {
         for method in kinds {

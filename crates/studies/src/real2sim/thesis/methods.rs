@@ -49,7 +49,7 @@ pub(super) fn all(
 ) -> Result<Vec<(String, Box<dyn ContactFinder>)>> {
     progress.begin("support vectors");
     let presses = Presses::of(&known.skin, &known.recorded);
-    let most = Most { all: known.recorded.len(), kernels: vectors };
+    let most = Most { all: known.recorded.len(), vectors };
     let (support, _) = regressions::tuned(Method::Vectors, &known.skin, &presses, most)?;
     let reader = pipeline.contacts(known.model.surface(), runtime)?;
     let peaks = Peaks { pipeline: Arc::clone(pipeline), reader };
