@@ -1,114 +1,106 @@
-"""What a lab writes in place of `dermis fusion`: numpy, every skin's contacts as arrays.
+"""Measures the fusion of `body_fusion.py` in one process.
 
     fusion_peer.py DATA.json SECONDS PROCESSES
 
-DATA holds reports of eight skins, the assumptions, and what our fusion makes of the reports. Position and velocity are filtered by
-the same Schmidt-Kalman filter, force by a random walk, vectorised over the contacts of a report. Which contact is whose is taken from the
-report: nothing is assigned, merged or published. Printed as one line of JSON: microseconds for the eight reports of a millisecond, and
-the largest deviation from ours, as a share of each standard deviation and value.
+DATA holds three kinds of scenes, each with a URDF and a robot file: `agreement`, with what our fusion makes of it; `millisecond`,
+in which each frame has a report of every skin; `growth`, with more and more contacts on one skin. An update is the reports of a
+frame worked in together, and what the body feels after that: contacts, wrenches and joint torques. Nothing is published, and
+messages are arrays before the clock starts. With `agreement` alone nothing is measured. Printed as one line of JSON: microseconds
+an update, SECONDS for each scene, and the largest deviation from ours, as a share of each value. One process in any case.
 """
 
 import json
 import sys
 import time
+import tomllib
 
 import numpy as np
+from body_fusion import BodyFusion, Report
+from body_robot import Robot
 
 
-class Filter:
-    """Mean, covariance, and covariance with the skin's bias, of n contacts with `size` components each."""
-
-    def __init__(self, values, noise, bias, size, rest):
-        n = len(values)
-        self.mean = np.zeros((n, size))
-        self.mean[:, :3] = values
-        self.covariance = np.tile(np.eye(size) * rest, (n, 1, 1))
-        self.covariance[:, :3, :3] = noise + bias
-        self.cross = np.zeros((n, size, 3))
-        self.cross[:, :3] = -bias
-        self.bias = bias
-
-    def predict(self, f, q):
-        self.mean = self.mean @ f.T
-        self.covariance = f @ self.covariance @ f.T + q
-        self.cross = f @ self.cross
-
-    def update(self, values, noise):
-        head = self.cross[:, :3]
-        innovation = values - self.mean[:, :3]
-        spread = self.covariance[:, :3, :3] + head + head.transpose(0, 2, 1) + self.bias + noise
-        gain = (self.covariance[:, :, :3] + self.cross) @ np.linalg.inv(spread)
-        self.mean = self.mean + (gain @ innovation[:, :, None])[:, :, 0]
-        self.covariance = self.covariance - gain @ spread @ gain.transpose(0, 2, 1)
-        self.covariance = (self.covariance + self.covariance.transpose(0, 2, 1)) * 0.5
-        self.cross = self.cross - gain @ (head + self.bias)
+def robot_of(scene):
+    return Robot(scene["urdf"], tomllib.loads(scene["robot"]))
 
 
-class Fusion:
-    def __init__(self, data):
-        self.data = data
-        self.skins = {}
-        dt, tau, variance = data["period"], data["slide_time"], data["slide_speed"] ** 2
-        x = dt / tau
-        decay, lost = np.exp(-x), -np.expm1(-x)
-        spread = 2 * x - 3 + 4 * decay - decay * decay
-        self.f, self.q = np.eye(6), np.zeros((6, 6))
-        for i in range(3):
-            self.f[i, i + 3], self.f[i + 3, i + 3] = tau * lost, decay
-            self.q[i, i] = variance * tau * tau * spread
-            self.q[i, i + 3] = self.q[i + 3, i] = variance * tau * lost * lost
-            self.q[i + 3, i + 3] = variance * (1 - decay * decay)
-        self.still, self.walk = np.eye(3), np.eye(3) * data["force_change"] ** 2 * dt
+def report_of(data):
+    rows = np.array(data["contacts"], float).reshape(-1, 10)
+    ids, count = rows[:, 0].astype(int), len(rows)
+    tile = lambda values: np.tile(np.reshape(values, (3, 3)), (count, 1, 1))  # noqa: E731
+    covariances = tile(data["position_covariance"]), tile(data["force_covariance"])
+    components = np.full(count, data["components"])
+    place, normal, force = rows[:, 1:4], rows[:, 4:7], rows[:, 7:10]
+    return Report(data["skin"], data["stamp"], ids, place, normal, force, *covariances, components)
 
-    def take(self, skin, report):
-        d, share = self.data, self.data["systematic_share"]
-        place, force = report[:, :3], report[:, 3:]
-        position = np.tile(np.eye(3) * (d["position_variance"] + d["least"]), (len(report), 1, 1))
-        mount = np.eye(3) * d["mount_deviation"] ** 2
-        strength = np.tile(np.eye(3) * (d["force_variance"] + d["least"]), (len(report), 1, 1))
-        if skin not in self.skins:
-            gain = np.zeros_like(strength)
-            for i in range(3):
-                gain[:, i, i] = (d["gain_deviation"] * force[:, i]) ** 2
-            self.skins[skin] = (
-                Filter(place, position * (1 - share), position * share + mount, 6, d["slide_speed"] ** 2),
-                Filter(force, strength * (1 - share), strength * share + gain, 3, 0.0),
-            )
-            return
-        of_place, of_force = self.skins[skin]
-        of_place.predict(self.f, self.q)
-        of_force.predict(self.still, self.walk)
-        of_place.update(place, position * (1 - share))
-        of_force.update(force, strength * (1 - share))
 
-    def rows(self):
-        for skin in sorted(self.skins):
-            place, force = self.skins[skin]
-            for k in range(len(place.mean)):
-                root = [place.covariance[k, 0, 0], force.covariance[k, 2, 2], place.covariance[k, 3, 3]]
-                yield [*place.mean[k, :3], *force.mean[k], *np.sqrt(root)]
+def deviation(scene):
+    """The largest difference from what is expected of a scene, as a share of each value; infinite where contacts differ."""
+    robot = robot_of(scene)
+    fusion = BodyFusion(robot)
+    for event in scene["events"]:
+        if "names" in event:
+            fusion.joints.take(event["stamp"], event["names"], event["positions"])
+        else:
+            fusion.take([report_of(event)], event["stamp"])
+    out = fusion.state(scene["now"])
+    found = {}
+    for k in range(len(out["id"])):
+        felt = [
+            (int(skin), int(called))
+            for skin, called, feels in zip(robot.skin_at[out["group"][k]], out["called"][k], out["feels"][k])
+            if feels
+        ]
+        roots = [np.sqrt(np.diag(out[key][k])) for key in ("position_covariance", "force_covariance", "velocity_covariance")]
+        q = out["body_quaternion"][k]
+        values = [out[key][k] for key in ("position", "normal", "force", "velocity", "body_position")]
+        found[tuple(sorted(felt))] = np.concatenate([*values, q * np.sign(q[3]), *roots])
+    expected = {tuple(map(tuple, c["felt"])): np.array(c["values"]) for c in scene["contacts"]}
+    if found.keys() != expected.keys() or len(found) != len(out["id"]):
+        print(f"contacts are of {sorted(found)}, not of {sorted(expected)}", file=sys.stderr)
+        return float("inf")
+    pairs = [(found[key], expected[key]) for key in expected]
+    for k, link in enumerate(out["links"]):
+        values = [out[key][k] for key in ("link_force", "link_torque", "body_force", "body_torque")]
+        pairs.append((np.concatenate(values), np.array(scene["wrenches"][robot.links[link]])))
+    pairs.append((np.concatenate([out["net_force"], out["net_torque"]]), np.array(scene["net"])))
+    pairs.append((out["joint_torques"], np.array([scene["torques"][joint] for joint in robot.joints])))
+    return max(float(np.max(np.abs(a - b) / (1e-3 + np.abs(b)))) for a, b in pairs)
+
+
+def measure(scene, seconds):
+    """Microseconds of each update, of a fusion that begins anew with each repetition of the scene."""
+    robot = robot_of(scene)
+    frames = [[report_of(report) for report in frame] for frame in scene["frames"]]
+    times, end = [], time.perf_counter() + seconds
+    while not times or time.perf_counter() < end:
+        fusion = BodyFusion(robot, assume_rest=True)
+        for k, frame in enumerate(frames):
+            begun = time.perf_counter()
+            fusion.take(frame, frame[0].stamp)
+            out = fusion.state(frame[0].stamp)
+            # The first frames are those in which all contacts begin.
+            if k >= 10:
+                times.append((time.perf_counter() - begun) * 1e6)
+        if len(out["id"]) != sum(len(report.ids) for report in frames[-1]):
+            sys.exit(f"{len(out['id'])} contacts remain of those of the last frame")
+    mean, p50, p99, longest = np.mean(times), *np.percentile(times, [50, 99, 100])
+    return {"mean": mean, "p50": p50, "p99": p99, "max": longest}
 
 
 def main():
-    data = json.load(open(sys.argv[1]))
+    with open(sys.argv[1]) as file:
+        data = json.load(file)
     seconds = float(sys.argv[2])
-    frames = [[np.array(report) for report in frame] for frame in data["frames"]]
-
-    def once():
-        fusion = Fusion(data)
-        for frame in frames:
-            for skin, report in enumerate(frame):
-                fusion.take(skin, report)
-        return fusion
-
-    found, expected = np.array(list(once().rows())), np.array(data["expected"])
-    deviation = float(np.max(np.abs(found - expected) / (1e-3 + np.abs(expected))))
-    runs, begun = 0, time.perf_counter()
-    while time.perf_counter() - begun < seconds:
-        once()
-        runs += 1
-    each = (time.perf_counter() - begun) / (runs * len(frames))
-    print(json.dumps([{"name": "numpy", "millisecond_us": each * 1e6, "deviation": deviation}]))
+    found = deviation(data["agreement"])
+    answer = {"name": "numpy and scipy", "deviation": found if np.isfinite(found) else 1e9}
+    if "millisecond" in data:
+        answer["millisecond_us"] = measure(data["millisecond"], seconds)
+        growth = []
+        for scene in data["growth"]:
+            times = measure(scene, seconds)
+            growth.append({"contacts": scene["contacts"], "update_us": times["p50"], "p99_us": times["p99"]})
+        answer["contacts"] = growth
+    print(json.dumps([answer]))
 
 
 if __name__ == "__main__":

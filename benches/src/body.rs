@@ -1,13 +1,13 @@
 //! What a body costs: eight skins at 1 kHz, a node for each, the fusion, and a subscriber: processes of their own, and twice more with
-//! nodes and fusion in one process.
+//! nodes and fusion in one process; and once with a fusion in rclpy and numpy in place of ours.
 //!
-//! Device (in this process) → node of the skin → fusion → subscriber. The delay of a frame is from its last byte to the first message of the
-//! body that says of its skin that this was its latest frame: until the fusion publishes it (inside, where the publisher stamps its
+//! Device (in this process) → node of the skin → fusion → subscriber. The delay of a frame is from its last byte to the first message of
+//! the body that says of its skin that this was its latest frame: until the fusion publishes it (inside, where the publisher stamps its
 //! messages), and until the subscriber has decoded it. The fusion answers so many times a second at most, and a frame that a later one
 //! of its skin overtakes on the way stands in no message: such frames are counted.
 
 use std::ops::Range;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -40,6 +40,12 @@ const EARLY: i64 = 300_000;
 pub struct Options {
     #[command(flatten)]
     programs: Programs,
+    /// Python with rclpy and our messages; leaves the fusion in rclpy and numpy out where absent.
+    #[arg(long)]
+    ros_python: Option<PathBuf>,
+    /// Folder of Python packages that it needs beside those of ROS: scipy.
+    #[arg(long)]
+    peer_packages: Option<PathBuf>,
     /// \[s\] of each row.
     #[arg(long, default_value_t = 20.0)]
     seconds: f64,
@@ -49,10 +55,12 @@ pub struct Options {
 }
 
 /// How the nodes are started.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Layout {
+#[derive(Debug, Clone, Copy)]
+enum Layout<'a> {
     /// Each in a process of its own.
     Apart,
+    /// Each in a process of its own, the fusion in this Python with rclpy.
+    Rclpy(&'a Path),
     /// All in one, where the fusion answers so many times a second at most \[Hz\].
     Together(&'static str),
 }
@@ -60,6 +68,8 @@ enum Layout {
 /// Names of the rows where all nodes share a process: as the fusion is by default, and answering twice as often.
 const TOGETHER: &str = "one process";
 const TOGETHER_FAST: &str = "one process, 2 kHz";
+/// Name of the row with the fusion in rclpy and numpy.
+const RCLPY: &str = "dermis, r2r + rclpy";
 
 /// Runs it over each backend that this machine has, and once in one process, and prints the table.
 ///
@@ -74,7 +84,9 @@ pub fn run(options: &Options) -> Result<Value> {
     let together = [(TOGETHER, "1000"), (TOGETHER_FAST, "2000")].map(|(name, rate)| {
         (name, Choice::Hiroz, options.programs.programs.as_path(), Layout::Together(rate))
     });
-    for (i, (name, backend, programs, layout)) in apart.chain(together).enumerate() {
+    let peer = options.programs.ros_programs.as_deref().zip(options.ros_python.as_deref());
+    let peer = peer.map(|(programs, python)| (RCLPY, Choice::Ros2, programs, Layout::Rclpy(python)));
+    for (i, (name, backend, programs, layout)) in apart.chain(peer).chain(together).enumerate() {
         eprintln!("measuring {name}");
         let mut row = measure(options, (backend, programs, layout), bundle.path(), domain_of(i))
             .with_context(|| name.to_owned())?;
@@ -82,7 +94,7 @@ pub fn run(options: &Options) -> Result<Value> {
         measured.push(row);
     }
     eprintln!(
-        "\n{:<18} {:>13} {:>13} {:>8} {:>8} {:>8} {:>10} {:>12} {:>13} {:>10}",
+        "\n{:<19} {:>13} {:>13} {:>8} {:>8} {:>8} {:>10} {:>12} {:>13} {:>10}",
         "",
         "inside p50 ms",
         "inside p99 ms",
@@ -96,7 +108,7 @@ pub fn run(options: &Options) -> Result<Value> {
     );
     for row in &measured {
         eprintln!(
-            "{:<18} {:>13} {:>13} {:>8} {:>8} {:>8} {:>10} {:>12} {:>13} {:>10}",
+            "{:<19} {:>13} {:>13} {:>8} {:>8} {:>8} {:>10} {:>12} {:>13} {:>10}",
             row["name"].as_str().unwrap_or_default(),
             number(&row["inside_p50_ms"], 3),
             number(&row["inside_p99_ms"], 3),
@@ -109,8 +121,11 @@ pub fn run(options: &Options) -> Result<Value> {
             number(&row["cores"], 3),
         );
     }
+    let (ours, peer) = (named(&measured, R2R), named(&measured, RCLPY));
+    let over = |key: &str| Some(peer[key].as_f64()? / ours[key].as_f64()?);
     Ok(json!({
         "skins": SKINS, "rate_hz": options.rate, "seconds": options.seconds,
+        "rclpy": peer, "rclpy_over_r2r": { "p50": over("p50_ms"), "p99": over("p99_ms"), "fusion_cores": over("fusion_cores") },
         "hiroz": named(&measured, HIROZ), "r2r": named(&measured, R2R), "one_process": named(&measured, TOGETHER),
         "one_process_2khz": named(&measured, TOGETHER_FAST),
         "rows": measured,
@@ -145,9 +160,21 @@ impl Sender {
     }
 }
 
+/// The fusion in rclpy and numpy.
+fn rclpy_fusion(options: &Options, python: &Path, robot: &Path) -> Command {
+    let mut command = Command::new(python);
+    command.arg(options.programs.root.join("benches/python/rclpy_fusion.py")).arg(robot).arg("--assume-rest");
+    // Threads of numpy's libraries wait for each other, and gain nothing on small arrays.
+    command.envs([("OMP_NUM_THREADS", "1"), ("OPENBLAS_NUM_THREADS", "1")]);
+    if let Some(packages) = &options.peer_packages {
+        command.env("PYTHONPATH", packages);
+    }
+    command
+}
+
 fn measure(
     options: &Options,
-    (backend, programs, layout): (Choice, &Path, Layout),
+    (backend, programs, layout): (Choice, &Path, Layout<'_>),
     model: &Path,
     domain: u16,
 ) -> Result<Value> {
@@ -163,6 +190,9 @@ fn measure(
     };
     let mut fusion = program();
     fusion.arg("fusion").arg("--robot").arg(&robot).arg("--assume-rest").args(["--backend", backend.name()]);
+    if let Layout::Rclpy(python) = layout {
+        fusion = rclpy_fusion(options, python, &robot);
+    }
     let pressed = Arc::new(AtomicBool::new(false));
     let (mut commands, mut devices) = (Vec::new(), Vec::new());
     for i in 0..SKINS {
@@ -174,7 +204,7 @@ fn measure(
         devices.push(device);
     }
     let (nodes, fusion) = match layout {
-        Layout::Apart => {
+        Layout::Apart | Layout::Rclpy(_) => {
             let fusion = spawn(&mut fusion, domain)?;
             let nodes = commands.iter_mut().map(|node| spawn(node, domain)).collect::<Result<Vec<_>>>()?;
             (nodes, Some(fusion))

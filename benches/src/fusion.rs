@@ -1,9 +1,10 @@
-//! What merging costs: eight skins at 1 kHz in one process, and how it grows with contacts, against the same filter in numpy.
+//! What merging costs: eight skins at 1 kHz in one process, and how it grows with contacts, against the same fusion in numpy.
 //!
-//! Time is simulated: reports come as fast as they are worked in. An update is the report of one skin with what it makes of the body: the
-//! tracks, contacts, wrenches and torques, and the message in CDR. By default the node answers at most 1,000 times a second, so that eight
-//! skins at 1 kHz are eight reports and one answer each millisecond. The peer has the contacts of all skins as arrays, takes every report for
-//! the contacts that it is of, and neither assigns nor merges: what it computes is position, velocity and force with their covariances, of the same reports.
+//! Time is simulated: reports come as fast as they are worked in. An update is the report of one skin with what it makes of the body:
+//! the tracks, contacts, wrenches and torques, and the message in CDR. By default the node answers at most 1,000 times a second, so that
+//! eight skins at 1 kHz are eight reports and one answer each millisecond. The peer works in the reports of a millisecond in one pass of
+//! array operations over all skins, by the same estimator, gates and assignment. It makes no message, and neither judges what comes
+//! from skins nor detects slip, nor waits for reports that overtake each other.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -24,6 +25,8 @@ use serde_json::{Value, json};
 use crate::node::percentile;
 use crate::peers;
 
+mod peer;
+
 /// Skins of the robot, each on a link of its own.
 const SKINS: usize = 8;
 /// \[ns\] when simulations begin, and between two reports of a skin.
@@ -31,13 +34,11 @@ const BEGIN: i64 = 1_700_000_000_000_000_000;
 const PERIOD: i64 = 1_000_000;
 /// Contacts on one skin, in turn.
 const CONTACTS: [usize; 6] = [1, 10, 25, 50, 100, 200];
-/// \[1\] by which means and standard deviations of the peer may differ from ours.
-const DEVIATION: f64 = 1e-6;
 
 /// What to measure.
 #[derive(Debug, Args)]
 pub struct Options {
-    /// Python with numpy; leaves the peer out where absent.
+    /// Python with numpy and scipy; leaves the peer out where absent.
     #[arg(long)]
     peer_python: Option<PathBuf>,
     /// Root of the repository.
@@ -69,23 +70,23 @@ pub fn run(options: &Options) -> Result<Value> {
     let worst = growth.last().map_or(f64::NAN, &each);
     let at_50 = growth.iter().find(|r| r["contacts"] == 50).map_or(f64::NAN, each);
     let mut result = json!({
-        "skins": SKINS, "rate_hz": 1000, "milliseconds": options.milliseconds, "dermis": ours, "contacts": growth,
+        "skins": SKINS, "rate_hz": 1000, "milliseconds": options.milliseconds, "dermis": ours, "contacts": &growth,
         "cost_per_contact_200_over_50": worst / at_50,
     });
     if let Some(python) = &options.peer_python {
-        let run = peers::Run { python, root: &options.root, seconds: 5.0, threads: 1 };
-        let peers = run.of("fusion_peer.py", &for_peer()?, DEVIATION)?;
-        let of_peer = peers.first().and_then(|p| p["millisecond_us"].as_f64()).unwrap_or(f64::NAN);
-        let of_ours = result["dermis"]["millisecond_us"]["mean"].as_f64().unwrap_or(f64::NAN);
-        result["peers"] = json!(peers);
-        result["numpy_over_dermis"] = json!(of_peer / of_ours);
-        eprintln!("numpy: {of_peer:.0} us for each millisecond, {:.1} times ours", of_peer / of_ours);
+        let run = peers::Run { python, root: &options.root, seconds: 3.0, threads: 1 };
+        let found = run.of(peer::SCRIPT, &peer::scenes()?, peer::DEVIATION)?;
+        let found = found.into_iter().map(|p| peer::beside(p, &result["dermis"], &growth));
+        result["peers"] = json!(found.collect::<Result<Vec<_>>>()?);
+        for row in result["peers"].as_array().into_iter().flatten() {
+            eprintln!("{row}");
+        }
     }
     Ok(result)
 }
 
-/// Writes a robot with so many skins, each on an arm of its own; its file.
-pub fn write_robot(folder: &Path, skins: usize) -> Result<PathBuf> {
+/// URDF and robot file of a robot with so many skins, each on an arm of its own.
+fn robot_text(skins: usize) -> (String, String) {
     let mut urdf = "<robot name=\"r\"><link name=\"base\"/>".to_owned();
     let mut text = "schema = \"dermis-robot/1\"\nname = \"r\"\nurdf = \"r.urdf\"\n".to_owned();
     for i in 0..skins {
@@ -97,7 +98,13 @@ pub fn write_robot(folder: &Path, skins: usize) -> Result<PathBuf> {
             "[[skins]]\nname = \"s{i}\"\nmount = {{ parent = \"l{i}\", translation = [0.0, 0.0, 0.0], rpy = [0.0, 0.0, 0.0] }}\n"
         );
     }
-    std::fs::write(folder.join("r.urdf"), urdf + "</robot>")?;
+    (urdf + "</robot>", text)
+}
+
+/// Writes such a robot into a folder; its file.
+pub fn write_robot(folder: &Path, skins: usize) -> Result<PathBuf> {
+    let (urdf, text) = robot_text(skins);
+    std::fs::write(folder.join("r.urdf"), urdf)?;
     let file = folder.join("r.toml");
     std::fs::write(&file, text)?;
     Ok(file)
@@ -199,49 +206,4 @@ fn with_contacts(contacts: usize, reports: usize) -> Result<Value> {
     }
     let times = summary(times);
     Ok(json!({ "contacts": contacts, "update_us": times["p50"], "p99_us": times["p99"] }))
-}
-
-/// Reports of 200 ms, and what ours makes of them at the end.
-fn for_peer() -> Result<Value> {
-    let mut fuser = fuser(SKINS)?;
-    let mut rng = ChaCha8Rng::seed_from_u64(3);
-    let mut frames = Vec::new();
-    let mut stamp = BEGIN;
-    for k in 0..200_u64 {
-        stamp = BEGIN + k as i64 * PERIOD;
-        let mut frame = Vec::new();
-        for skin in 0..SKINS {
-            let report = report(skin, k + 1, stamp, 2, &mut rng);
-            let rows = report
-                .contacts
-                .iter()
-                .map(|c| json!([c.position.x, c.position.y, c.position.z, c.force.x, c.force.y, c.force.z]));
-            frame.push(json!(rows.collect::<Vec<_>>()));
-            fuser.take(skin, &report, None, stamp);
-        }
-        frames.push(json!(frame));
-    }
-    let state = fuser.state(stamp);
-    let mut tracks: Vec<(usize, u32, Vec<f64>)> = state
-        .contacts
-        .iter()
-        .map(|c| {
-            let (contact, (skin, name)) = (&c.contact, c.skins[0]);
-            let mut row: Vec<f64> = contact.position.iter().chain(contact.force.iter()).copied().collect();
-            row.extend([
-                contact.position_covariance[(0, 0)].sqrt(),
-                contact.force_covariance[(2, 2)].sqrt(),
-                c.velocity_covariance[(0, 0)].sqrt(),
-            ]);
-            (skin, name, row)
-        })
-        .collect();
-    tracks.sort_by_key(|(skin, name, _)| (*skin, *name));
-    let s = Settings::default();
-    Ok(json!({
-        "frames": frames, "period": PERIOD as f64 * 1e-9, "expected": tracks.into_iter().map(|t| t.2).collect::<Vec<_>>(),
-        "position_variance": 1e-6, "force_variance": 0.01, "least": 1e-8,
-        "slide_speed": s.slide_speed, "slide_time": s.slide_time, "force_change": s.force_change,
-        "mount_deviation": s.mount_deviation, "systematic_share": s.systematic_share, "gain_deviation": s.gain_deviation,
-    }))
 }
