@@ -12,20 +12,13 @@ const TICKS_PER_SECOND: f64 = 100.0;
 
 /// The result with the machine that it was measured on: cores, processor, load at the end.
 pub fn stamp(mut result: Value) -> Value {
-    let read = |path: &str| std::fs::read_to_string(path).unwrap_or_default();
-    let cpuinfo = read("/proc/cpuinfo");
-    let model = cpuinfo
-        .lines()
-        .find_map(|line| line.strip_prefix("model name")?.split(": ").nth(1))
-        .unwrap_or("unknown")
-        .to_owned();
-    let load: Option<f64> = read("/proc/loadavg").split(' ').next().and_then(|w| w.parse().ok());
+    let dermis_io::Machine { processor, cores, load } = dermis_io::machine();
     if let Some(object) = result.as_object_mut() {
         object.insert(
             "machine".into(),
             json!({
-                "processor": model,
-                "cores": std::thread::available_parallelism().map_or(0, std::num::NonZero::get),
+                "processor": processor,
+                "cores": cores,
                 "load_1min_at_end": load,
                 "profile": if cfg!(debug_assertions) { "debug" } else { "release" },
             }),

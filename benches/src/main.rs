@@ -20,6 +20,7 @@ mod reflex;
 mod restart;
 mod sampling;
 mod shell;
+mod shell_study;
 mod soak;
 mod start;
 mod subscriber;
@@ -54,6 +55,8 @@ enum Command {
     /// A shell: its factor and loads against CHOLMOD with OpenBLAS and against CalculiX, and samples per second of its forward
     /// model, with and without maps of displacement.
     Shell(shell::Options),
+    /// How close shells on ever finer triangles come to solids, by both theories, and what that costs. Needs CalculiX.
+    ShellStudy(shell_study::Options),
     /// Frames per second of the panel of fabric's forward model with its noise, against scipy and pyEIT on the same sheet.
     Ert(ert::Options),
     /// Pictures per second of the soft thumb's forward model with its noise, at both sizes; with recorded frames, how their statistics
@@ -95,6 +98,7 @@ fn main() -> Result<()> {
         Command::Reflex(options) => reflex::run(&options)?,
         Command::Model(options) => model::run(&options)?,
         Command::Shell(options) => shell::run(&options)?,
+        Command::ShellStudy(options) => shell_study::run(&options)?,
         Command::Ert(options) => ert::run(&options)?,
         Command::Insight(options) => insight::run(&options)?,
         Command::Fusion(options) => fusion::run(&options)?,

@@ -21,7 +21,7 @@ use serde_json::{Value, json};
 use crate::device::Device;
 use crate::machine::{Process, cpu_time};
 use crate::node::{PATIENCE, Pace, SKIN, learned_only, number, percentile, skin_node};
-use crate::programs::{Programs, R2R};
+use crate::programs::{HIROZ, Programs, R2R, named};
 use crate::subscriber::{Arrival, Choice, domain_of, spawn, start_stops};
 
 /// Frames without touch between two trials, at least.
@@ -30,6 +30,8 @@ const PAUSE: usize = 80;
 const LONGEST: usize = 500;
 /// \[N\] of the rule; the device presses with 0.8 N.
 const LIMIT: f64 = 0.3;
+/// Name of the row whose stop comes from rclpy.
+const RCLPY: &str = "dermis, r2r + rclpy";
 
 /// What to measure.
 #[derive(Debug, Args)]
@@ -71,7 +73,7 @@ pub fn run(options: &Options) -> Result<Value> {
         let row = |name, stopper| Row { name, backend, programs: programs.to_owned(), stopper };
         rows.push(row(name, Stopper::Ours));
         if let (R2R, Some(python)) = (name, &options.ros_python) {
-            rows.push(row("dermis, r2r + rclpy", Stopper::Rclpy(python.clone())));
+            rows.push(row(RCLPY, Stopper::Rclpy(python.clone())));
         }
     }
     let bundle = learned_only(&options.programs.root)?;
@@ -82,7 +84,24 @@ pub fn run(options: &Options) -> Result<Value> {
         measured.push(found.with_context(|| row.name.to_owned())?);
     }
     table(&measured, options);
-    Ok(json!({ "rate_hz": options.rate, "trials": options.trials, "limit_n": LIMIT, "rows": measured }))
+    Ok(json!({
+        "rate_hz": options.rate, "trials": options.trials, "limit_n": LIMIT,
+        "rclpy_over_dermis": {
+            "hiroz": over(&named(&measured, RCLPY), &named(&measured, HIROZ)),
+            "r2r": over(&named(&measured, RCLPY), &named(&measured, R2R)),
+        },
+        "rows": measured,
+    }))
+}
+
+/// How many times as long the peer's stops take as ours: above 1 where ours are faster; null where one of them was not measured.
+fn over(peer: &Value, ours: &Value) -> Value {
+    let ratio = |machine: &str, figure: &str| {
+        let of = |row: &Value| row[machine][figure].as_f64();
+        Some(of(peer)? / of(ours)?)
+    };
+    let of = |machine| json!({ "p50": ratio(machine, "p50_ms"), "p99": ratio(machine, "p99_ms") });
+    json!({ "quiet": of("quiet"), "loaded": of("loaded") })
 }
 
 fn rules(options: &Options, folder: &Path) -> Result<PathBuf> {
@@ -254,4 +273,18 @@ fn table(rows: &[Value], options: &Options) {
         "\n{} presses a row at {} Hz, from the last byte of the first pressed frame to the stop at another process.",
         options.trials, options.rate
     );
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_peer_that_takes_longer_is_above_one() {
+        let row =
+            |p50: f64| json!({ "quiet": { "p50_ms": p50, "p99_ms": 2.0 }, "loaded": { "p50_ms": 4.0 } });
+        let expected = json!({ "quiet": { "p50": 3.0, "p99": 1.0 }, "loaded": { "p50": 1.0, "p99": null } });
+        assert_eq!(over(&row(1.5), &row(0.5)), expected);
+        assert_eq!(over(&Value::Null, &row(0.5))["quiet"]["p50"], Value::Null);
+    }
 }

@@ -101,8 +101,7 @@ pub fn run(options: &Options) -> Result<Value> {
     }
     first.sort_by(f64::total_cmp);
     known.sort_by(f64::total_cmp);
-    let summary =
-        |times: &[f64]| json!({ "median_s": percentile(times, 50.0), "max_s": times.last(), "all_s": times });
+    let summary = |times: &[f64]| json!({ "median_s": percentile(times, 50.0), "p90_s": percentile(times, 90.0), "max_s": times.last(), "all_s": times });
     println!(
         "{} kills: first message after {:.2} s (median; at most {:.2}), contacts known after {:.2} s (at most {:.2})",
         options.kills,

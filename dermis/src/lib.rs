@@ -106,7 +106,7 @@ enum Command {
     /// Several contacts from few readings by way of a simulation, beside other ways to them.
     #[command(name = "real2sim", subcommand)]
     Real2Sim(real2sim::Real2Sim),
-    /// Make model bundles of models that were trained elsewhere.
+    /// Make model bundles of models that were trained elsewhere, or of two bundles.
     #[command(subcommand)]
     Bundle(bundle::Bundle),
     /// Publish what a bag holds.
@@ -311,6 +311,33 @@ mod tests {
             ["gap", "benchmark", "generate"]
         );
         assert_eq!(with(&["dermis", "gap", "make-pack"], &old_generate), ["gap", "make-pack"]);
+    }
+
+    /// Otherwise a target whose command is none would be found out only when it is measured again.
+    #[test]
+    fn commands_that_measure_targets_are_commands() {
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../targets.toml");
+        let targets: toml::Table = std::fs::read_to_string(file).unwrap().parse().unwrap();
+        let mut parsed = 0;
+        for target in targets["target"].as_array().unwrap() {
+            for command in target["command"].as_str().unwrap().split(" && ") {
+                let ours = ["cargo run --release --quiet -- ", "dermis "];
+                let Some(arguments) = ours.iter().find_map(|start| command.strip_prefix(start)) else {
+                    // Tests of xtask try these.
+                    assert!(
+                        command.starts_with("cargo xtask "),
+                        "`{command}` is no command of this repository"
+                    );
+                    continue;
+                };
+                let words: Vec<String> = arguments.split_whitespace().map(str::to_owned).collect();
+                if let Err(why) = parse(&words) {
+                    panic!("{}: {why}", target["name"]);
+                }
+                parsed += 1;
+            }
+        }
+        assert!(parsed > 10, "{parsed} commands");
     }
 
     #[test]

@@ -8,7 +8,8 @@ use clap::{Args, ValueEnum};
 
 use crate::environment;
 use crate::programs;
-use crate::run::{cargo, run as execute};
+use crate::record;
+use crate::run::{cargo, run as execute, target_dir};
 use crate::test::{ROS_IN_PROGRAM, build_aside};
 
 /// What can be measured.
@@ -22,12 +23,15 @@ pub enum Name {
     Model,
     /// Factor and loads of a shell, against CHOLMOD and CalculiX, and samples per second of its forward model.
     Shell,
+    /// How close shells on ever finer triangles come to solids, by both theories, and what that costs: minutes, with CalculiX.
+    ShellStudy,
     /// Frames per second of the panel of fabric, against scipy and pyEIT.
     Ert,
     /// Pictures per second of the soft thumb, against Taxim; beside real frames where `DERMIS_DATA` names the folder of the recordings.
     Insight,
+    /// Merging the contacts of a body in one process, against the same in numpy and scipy.
     Fusion,
-    /// Eight skins at 1 kHz and the fusion, each a process.
+    /// Eight skins at 1 kHz and the fusion, each a process, against a fusion in rclpy and numpy.
     Body,
     /// Diagnosis of ten thousand contacts on 784 channels, on an analytic skin.
     Gap,
@@ -43,11 +47,27 @@ pub enum Name {
     Soak,
 }
 
+impl Name {
+    /// What it is called by `dermis-bench`, too.
+    fn text(self) -> String {
+        self.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
+    }
+
+    /// Name of its record in `benches/results/`.
+    pub fn record(self) -> String {
+        match self {
+            // Beside the records of what is diagnosed.
+            Self::Gap => "gap-speed".to_owned(),
+            _ => self.text(),
+        }
+    }
+}
+
 /// Which, and how.
 #[derive(Args)]
 pub struct Options {
     /// Measurements; all but the long one where none is named.
-    names: Vec<Name>,
+    pub names: Vec<Name>,
     /// Arguments for the measurement, after `--`; `cargo xtask bench NAME -- --help` lists them.
     #[arg(last = true)]
     arguments: Vec<String>,
@@ -79,10 +99,8 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
     let clients = environment::clients(root)?;
     let ros = environment::ros(root)?;
     let programs = programs::built(root, &PROGRAMS)?;
-    let results = root.join("benches/results");
     for name in names {
-        let value = name.to_possible_value();
-        let text = value.as_ref().map_or("", |v| v.get_name());
+        let text = &name.text();
         let mut command = Command::new(programs.join("dermis-bench"));
         if matches!(name, Name::Node | Name::Reflex | Name::Body) {
             let aside = build_aside(&programs, &PROGRAMS, || {
@@ -94,10 +112,8 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
             command = Command::new(aside.join("dermis-bench"));
             command.envs(ros.variables()).arg(text);
             command.arg("--programs").arg(&programs).arg("--ros-programs").arg(&aside);
-            if name != Name::Body {
-                command.arg("--ros-python").arg(&ros.variables()["DERMIS_ROS_PYTHON"]);
-            }
-            if name == Name::Node {
+            command.arg("--ros-python").arg(&ros.variables()["DERMIS_ROS_PYTHON"]);
+            if matches!(name, Name::Node | Name::Body) {
                 // The interpreter lies in `bin` of its environment.
                 let venv = clients.ancestors().nth(2).unwrap_or(root);
                 command.arg("--peer-packages").arg(environment::site_packages(venv)?);
@@ -108,8 +124,14 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
         }
         // Without the telemetry of ONNX Runtime in the peers.
         command.current_dir(root).env("DERMIS_BIN", &programs).env("ORT_DISABLE_TELEMETRY", "1");
-        command.arg("--out").arg(results.join(format!("{text}.json")));
+        let file = target_dir(root).join(format!("bench-{text}.json"));
+        // Of a run that was interrupted.
+        if file.exists() {
+            std::fs::remove_file(&file)?;
+        }
+        command.arg("--out").arg(&file);
         execute(command.args(&options.arguments))?;
+        record::take(root, &name.record(), &file)?;
     }
     Ok(())
 }
@@ -119,6 +141,9 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
 fn peers(root: &Path, name: Name, programs: &Path, clients: &Path, command: &mut Command) -> Result<()> {
     if matches!(name, Name::Limb | Name::Thumb) {
         command.arg("--programs").arg(programs);
+    }
+    if name == Name::Soak {
+        command.arg("--plot").arg(record::path(root, &name.record()).with_extension("svg"));
     }
     if matches!(name, Name::Model | Name::Fusion) {
         command.arg("--peer-python").arg(clients);
@@ -138,10 +163,12 @@ fn peers(root: &Path, name: Name, programs: &Path, clients: &Path, command: &mut
             Err(why) => eprintln!("Taxim is left out, it cannot be installed: {why:#}"),
         }
     }
+    if matches!(name, Name::Shell | Name::ShellStudy)
+        && let Some(why) = environment::calculix()
+    {
+        eprintln!("{why}");
+    }
     if name == Name::Shell {
-        if let Some(why) = environment::calculix() {
-            eprintln!("{why}");
-        }
         match environment::cholmod(root)? {
             Some(python) => _ = command.arg("--peer-python").arg(python),
             None => eprintln!("CHOLMOD is left out: apt-get install libsuitesparse-dev libopenblas0-pthread"),

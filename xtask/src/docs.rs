@@ -25,6 +25,9 @@ pub struct Options {
     /// Only write what is generated: tables of results, the reference of all commands, the schema of effects.
     #[arg(long, conflicts_with = "check")]
     tables: bool,
+    /// Only draw the picture of the README from a run of `dermis demo`, which takes seconds.
+    #[arg(long, conflicts_with_all = ["tables", "check"])]
+    pictures: bool,
     /// Only check tables, where their figures are from, targets, and links; nothing is written or installed.
     #[arg(long)]
     check: bool,
@@ -37,11 +40,16 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
     if options.tables {
         return write_generated(root);
     }
+    if options.pictures {
+        let (python, dermis) = (environment::clients(root)?, programs::dermis(root)?);
+        return execute(Command::new(python).arg("docs/picture.py").arg(dermis).current_dir(root));
+    }
     let mut wrong = links::broken(root)?;
     wrong.extend(stale(root)?.iter().map(|path| {
         format!("{}: a table is stale; run `cargo xtask docs --tables`", shorter(root, path).display())
     }));
     wrong.extend(unmarked(root)?);
+    wrong.extend(unwritten(root)?);
     wrong.extend(targets::untrue(root)?);
     if !wrong.is_empty() {
         bail!("{}", wrong.join("\n"));
@@ -108,6 +116,23 @@ fn unmarked(root: &Path) -> Result<Vec<String>> {
         wrong.extend(
             found.iter().map(|(line, why)| format!("{}:{line}: {why}", shorter(root, &path).display())),
         );
+    }
+    Ok(wrong)
+}
+
+/// Tables that wait for a record which the command that they name does not write, one sentence each.
+fn unwritten(root: &Path) -> Result<Vec<String>> {
+    let mut wrong = Vec::new();
+    for path in pages(root)? {
+        let text = fs::read_to_string(&path)?;
+        for (line, file, command) in tables::awaited(&text)? {
+            let why = match targets::written(command) {
+                Ok(written) if written.iter().any(|name| name == file) => continue,
+                Ok(written) => format!("`{command}` does not write `{file}`, but {written:?}"),
+                Err(why) => why,
+            };
+            wrong.push(format!("{}:{line}: {why}", shorter(root, &path).display()));
+        }
     }
     Ok(wrong)
 }
@@ -215,6 +240,24 @@ mod tests {
     #[test]
     fn every_table_of_figures_is_generated_or_marked() {
         assert_eq!(unmarked(&root().unwrap()).unwrap(), Vec::<String>::new());
+    }
+
+    #[test]
+    fn every_table_that_waits_names_the_command_that_makes_it() {
+        assert_eq!(unwritten(&root().unwrap()).unwrap(), Vec::<String>::new());
+        let dir = tempfile::tempdir().unwrap();
+        fs::create_dir(dir.path().join("docs")).unwrap();
+        let waits = |file: &str, command: &str| {
+            format!("<!-- table once {file}: cargo xtask {command}\n| a |\n-->\n<!-- end table -->\n")
+        };
+        let text = [waits("start", "measure start"), waits("stop", "measure start"), waits("a", "measure a")];
+        fs::write(dir.path().join("docs/page.md"), text.concat()).unwrap();
+        let wrong = unwritten(dir.path()).unwrap();
+        assert_eq!(
+            wrong[0],
+            "docs/page.md:5: `cargo xtask measure start` does not write `stop`, but [\"start\"]"
+        );
+        assert!(wrong.len() == 2 && wrong[1].starts_with("docs/page.md:9: "), "{wrong:#?}");
     }
 
     #[test]

@@ -79,7 +79,8 @@ const TOOL: &str = "dermis-gap";
 const BENCHMARK: &str = "dermis-gap-benchmark";
 /// Who scores the diagnosis on the benchmark.
 const MAY_SCORE: [&str; 4] = ["dermis", "dermis-studies", "dermis-report", "integration-tests"];
-/// What the benchmark shares with the rest: vocabulary, stimuli and files, no model.
+/// What the benchmark shares with the rest: vocabulary, stimuli and files, no model. What a family's undamaged device reads it may be handed
+/// (`Designs`); it imports none.
 const BENCHMARK_MAY: [&str; 6] =
     ["dermis-skin", "dermis-model", "dermis-testbed", "dermis-bag", "dermis-io", "dermis_msgs"];
 

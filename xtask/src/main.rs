@@ -10,6 +10,7 @@ mod lints;
 mod measure;
 mod mutants;
 mod programs;
+mod record;
 mod run;
 mod targets;
 mod test;

@@ -1,4 +1,4 @@
-//! Measurements behind `targets.toml`; each prints one line of JSON at the end.
+//! Measurements behind `targets.toml`; each prints one line of JSON at the end, and keeps it in `benches/results/`.
 
 use std::hash::{Hash, Hasher};
 use std::path::{Path, PathBuf};
@@ -10,20 +10,27 @@ use clap::Subcommand;
 use serde_json::{Value, json};
 
 use crate::programs;
+use crate::record;
 use crate::run::{cargo, output, run as execute, target_dir};
 
 mod comparisons;
 mod e_skins;
 mod ert;
+mod gap;
 mod hapdefx;
 mod insight;
 mod limb;
+mod physics;
+mod placement;
 mod recorded;
+mod slip;
 
 /// What can be measured.
 #[derive(Subcommand)]
 pub enum Measurement {
-    /// CPU minutes and wall minutes of the README's first command on a fresh clone with an empty target folder.
+    /// CPU minutes and wall minutes of the README's first command on a fresh clone with an empty target folder. What a measurement
+    /// prints is kept in benches/results/NAME.json, with its command, commit and machine; NAME is that of the measurement, where
+    /// nothing else is said.
     ColdBuild,
     /// Localisation on a recorded magnetic skin: import, train on one run, evaluate on held-out presses, on unseen
     /// locations and on the other run.
@@ -53,9 +60,10 @@ pub enum Measurement {
     Realism,
     /// Single contacts on the limb with strain gauges by the bundle that ships: as designed, with one dead gauge that the node
     /// does not know of, and on a device with the default effects; as designed beside support vectors, nearest neighbours and a
-    /// network that learn from the same presses.
+    /// network that learn from the same presses. Written to benches/results/limb-accuracy.json.
     Limb,
-    /// One and two contacts on a limb with the default effects: all ways, learned from recorded single contacts.
+    /// One and two contacts on a limb with the default effects: all ways, learned from recorded single contacts. Written to
+    /// benches/results/real2sim-shin.json.
     Real2sim,
     /// Chapter 3 of the thesis at its sizes (HapDefX) on the limb of `real2sim`: maps, ways to one contact, errors of one and two
     /// contacts. Writes benches/results/hapdefx-shin.json, from which `cargo xtask docs --tables` makes the tables. Some two hours and
@@ -67,8 +75,12 @@ pub enum Measurement {
     /// Seconds from the start of a node's process until a subscriber has contacts with status OK, with an empty and with a warm
     /// cache.
     Start,
-    /// The diagnosis of gaps on benchmark sets with withheld causes, for the row of barometers, the pad and the limb.
-    Gap,
+    /// The diagnosis of gaps on benchmark sets with withheld causes, for the row of barometers, the pad, the limb, the conductive panel and the
+    /// soft thumb. Written to benches/results/gap-check-SKIN.json, SKIN being line, grid, shin, panel or thumb, with a picture of each.
+    Gap(gap::Options),
+    /// What `dermis gap close` gains on a row of barometers whose elements read half too much: errors of an estimator that learned from the
+    /// nominal simulation and of one that learned from the corrected one, on held-out presses. Written to benches/results/gap-close.json.
+    GapClose,
     /// One to six contacts on the simulated conductive panel, found by inversion of its forward model, beside the Cramér–Rao bound of the
     /// very same frames. Written to benches/results/ert-inversion.json.
     Panel,
@@ -82,17 +94,58 @@ pub enum Measurement {
     /// Tables 4.3 to 4.5 of the thesis on the simulated conductive panel, written to benches/results/ert-tables.json; the result says
     /// what is reduced.
     ErtTables(ert::Sizes),
+    /// The physics of every sensor family against closed forms and other programs, as `dermis validate` computes it. Written to
+    /// benches/results/FAMILY-validation.json. Fails where a case does.
+    Validation,
+    /// Least errors of the conductive panel and of the row of barometers, and the super-resolution factors of the row, as `dermis bounds`
+    /// computes them. Written to benches/results/ert-panel-bounds.json and baro-line-bounds.json.
+    Bounds,
+    /// Placement of ten gauges on the limb by five methods: errors by number of gauges and of failed ones, and CPU time of the search.
+    /// Written to benches/results/placement-hapdef-shin.json.
+    Placement,
+    /// Simulated slides that the fusion finds, and reports of slides that are right, as its test measures and bounds them.
+    Slip,
 }
 
-/// Skins that gaps are diagnosed on, and the seeds of their sets: of all kinds, and of controls only.
-const GAPS: [(&str, &str, [&str; 2]); 3] = [
-    ("line", "launch/skins/baro-line.toml", ["50521", "50531"]),
-    ("grid", "nodes/barodome/skins/baro-grid-wide.toml", ["50502", "50512"]),
-    ("shin", LIMB, ["50503", "50513"]),
-];
-/// Share of the full proportions, and controls that make up for what lacks of them.
-const GAP_SHARE: &str = "0.5";
-const GAP_CONTROLS: &str = "50";
+impl Measurement {
+    /// Names of the records that it writes. Where there are several, each holds what is printed under one key.
+    pub fn records(&self) -> &'static [&'static str] {
+        match self {
+            Self::ColdBuild => &["cold-build"],
+            Self::Localisation => &["localisation"],
+            Self::Force => &["force"],
+            Self::Shear => &["shear"],
+            Self::Transfers => &["transfers"],
+            Self::Comparisons => &["comparison-line", "comparison-grid", "comparison-dome"],
+            Self::ESkins => &["e-skins"],
+            Self::Tanks => &["tanks"],
+            Self::Accuracy => &["accuracy"],
+            Self::Realism => &["realism"],
+            Self::Limb => &["limb-accuracy"],
+            Self::Real2sim => &["real2sim-shin"],
+            Self::Hapdefx(_) => &["hapdefx-shin"],
+            Self::Restart => &["restart"],
+            Self::Start => &["start"],
+            Self::Gap(_) => {
+                &["gap-check-line", "gap-check-grid", "gap-check-shin", "gap-check-panel", "gap-check-thumb"]
+            }
+            Self::GapClose => &["gap-close"],
+            Self::Panel => &["ert-inversion"],
+            Self::Insight => &["insight-accuracy", "insight-fovea", "insight-large-tip", "insight-contacts"],
+            Self::InsightMaps => &["insight-maps"],
+            Self::ErtTables(_) => &["ert-tables"],
+            Self::Validation => &physics::VALIDATIONS,
+            Self::Bounds => &physics::BOUNDS,
+            Self::Placement => &["placement-hapdef-shin"],
+            Self::Slip => &["slip"],
+        }
+    }
+
+    /// Whether [`run`] writes its record; those that keep what a run of another size measured do it themselves.
+    fn is_kept_here(&self) -> bool {
+        !matches!(self, Self::Hapdefx(_) | Self::ErtTables(_))
+    }
+}
 
 pub fn run(root: &Path, measurement: &Measurement) -> Result<()> {
     let value = match measurement {
@@ -104,11 +157,16 @@ pub fn run(root: &Path, measurement: &Measurement) -> Result<()> {
         Measurement::Real2sim => limb::real2sim(root)?,
         Measurement::Hapdefx(options) => hapdefx::run(root, options)?,
         Measurement::Start => start(root)?,
-        Measurement::Gap => gap(root)?,
+        Measurement::Gap(options) => gap::benchmark(root, options)?,
+        Measurement::GapClose => gap::close(root)?,
         Measurement::Panel => ert::inversion(root)?,
         Measurement::Insight => insight::accuracy(root)?,
         Measurement::InsightMaps => insight::maps(root)?,
         Measurement::ErtTables(sizes) => ert::tables(root, sizes)?,
+        Measurement::Validation => physics::validation(root)?,
+        Measurement::Bounds => physics::bounds(root)?,
+        Measurement::Placement => placement::placement(root)?,
+        Measurement::Slip => slip::slip(root)?,
         Measurement::Restart => restart(root)?,
         Measurement::Force => recorded::recorded(root, &recorded::FORCE)?,
         Measurement::Transfers => recorded::transfers(root)?,
@@ -117,6 +175,12 @@ pub fn run(root: &Path, measurement: &Measurement) -> Result<()> {
         Measurement::ESkins => e_skins::e_skins(root)?,
         Measurement::Shear => recorded::recorded(root, &recorded::SHEAR)?,
     };
+    // What cannot be measured here is no reason to forget what was.
+    if let (true, [name]) = (measurement.is_kept_here(), measurement.records())
+        && value.get("skipped").is_none()
+    {
+        record::keep(root, name, &value)?;
+    }
     println!("{value}");
     Ok(())
 }
@@ -133,18 +197,6 @@ fn scratch(root: &Path, name: &str) -> Result<PathBuf> {
 /// Folder of the recordings that others made.
 fn recordings(root: &Path) -> PathBuf {
     std::env::var("DERMIS_DATA").map_or_else(|_| root.join("../shared/data"), PathBuf::from)
-}
-
-/// The commit that is measured.
-fn commit(root: &Path) -> Result<String> {
-    let text = output(Command::new("git").args(["rev-parse", "--short", "HEAD"]).current_dir(root))?;
-    Ok(text.trim().to_owned())
-}
-
-/// Writes a record of results.
-fn write(path: &Path, value: &Value) -> Result<()> {
-    let text = serde_json::to_string_pretty(value)? + "\n";
-    std::fs::write(path, text).with_context(|| format!("{} cannot be written", path.display()))
 }
 
 fn read_toml(path: &Path) -> Result<toml::Table> {
@@ -298,30 +350,6 @@ fn beside_bound<'a>(found: &'a Value, contacts: u64, quantity: &str) -> &'a Valu
 
 /// The limb's skin.
 const LIMB: &str = "launch/skins/hapdef-shin.toml";
-
-/// Diagnoses benchmark sets with withheld causes.
-fn gap(root: &Path) -> Result<Value> {
-    let dermis = programs::dermis(root)?;
-    let dir = scratch(root, "gap")?;
-    let mut found = serde_json::Map::new();
-    for (name, skin, seeds) in GAPS {
-        let folder = |what: &str| dir.join(format!("{name}{what}"));
-        let kinds: [&[&str]; 2] = [&["--share", GAP_SHARE], &["--kind", "controls", "--count", GAP_CONTROLS]];
-        let mut check = Command::new(&dermis);
-        check.args(["gap", "benchmark", "run", "--jobs", "2", "--out"]).arg(folder("-out"));
-        for ((kind, seed), of) in kinds.into_iter().zip(seeds).zip(["", "-controls"]) {
-            let (set, truth) = (folder(of), folder(&format!("{of}-truth")));
-            let mut make = Command::new(&dermis);
-            make.args(["gap", "benchmark", "generate", "--skin", skin, "--seed", seed]).args(kind);
-            execute(make.arg("--truth").arg(&truth).arg("-o").arg(&set).current_dir(root))?;
-            check.arg("--set").arg(set).arg("--truth").arg(truth);
-        }
-        execute(check.current_dir(root))?;
-        let summary = std::fs::read(folder("-out").join("summary.json"))?;
-        found.insert(name.to_owned(), serde_json::from_slice(&summary)?);
-    }
-    Ok(Value::Object(found))
-}
 
 /// Kills a node under `launch`, and waits for its contacts.
 fn restart(root: &Path) -> Result<Value> {

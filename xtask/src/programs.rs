@@ -1,6 +1,7 @@
 //! Programs that measurements and the book run.
 
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use anyhow::Result;
 
@@ -8,14 +9,19 @@ use crate::environment;
 use crate::run::{cargo, run, target_dir};
 use crate::test::{WITH_ROS, select};
 
-/// Builds programs with the features that the tests have, and says where they are: with others, all that they depend on would be built
-/// once more.
-pub fn built(root: &Path, names: &[&str]) -> Result<PathBuf> {
-    let mut build = cargo(root);
-    build.args(["build", "--release"]).args(names.iter().flat_map(|name| ["--bin", name]));
+/// What cargo does with everything that the tests are made of: with other features, all that they depend on would be built once more.
+pub fn everything(root: &Path, arguments: &[&str]) -> Result<Command> {
+    let mut command = cargo(root);
+    command.args(arguments);
     let ros = environment::has_ros(root).then(|| environment::ros(root)).transpose()?;
-    select(&mut build, WITH_ROS, ros.as_ref());
-    run(&mut build)?;
+    select(&mut command, WITH_ROS, ros.as_ref());
+    Ok(command)
+}
+
+/// Builds programs, and says where they are.
+pub fn built(root: &Path, names: &[&str]) -> Result<PathBuf> {
+    let mut build = everything(root, &["build", "--release"])?;
+    run(build.args(names.iter().flat_map(|name| ["--bin", name])))?;
     Ok(target_dir(root).join("release"))
 }
 

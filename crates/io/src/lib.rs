@@ -6,7 +6,7 @@
 //!
 //! Solution: [`read`], [`read_text`], [`open`] and [`open_at_most`] take regular files only and stop at a limit that the caller names.
 //! [`yaml::check`] counts what a YAML text stands for before anything is built of it. [`pipe::end_quietly`] ends a program
-//! whose standard output nobody reads any more, as the shell expects it.
+//! whose standard output nobody reads any more, as the shell expects it. [`machine`] tells what a measurement ran on.
 //!
 //! All errors are of [`std::io::Error`], so that each reader puts them into its own sentence with the path.
 //!
@@ -17,10 +17,12 @@
 //! ```
 
 mod file;
+mod machine;
 pub mod pipe;
 pub mod yaml;
 
 pub use file::{open, open_at_most, read, read_text};
+pub use machine::{Machine, machine};
 
 /// \[bytes\] of a file that people write: descriptions, plans, maps, configurations.
 pub const TEXT: u64 = 4 << 20;

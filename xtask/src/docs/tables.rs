@@ -206,6 +206,17 @@ fn table_start(line: &str) -> Result<Option<Option<(&str, &str)>>> {
     )))
 }
 
+/// The tables of a page that wait for a file: the line, counted from 1, the file and the command that makes it.
+pub fn awaited(text: &str) -> Result<Vec<(usize, &str, &str)>> {
+    let mut found = Vec::new();
+    for (i, line) in text.lines().enumerate() {
+        if let Some(Some((file, command))) = table_start(line.trim_end())? {
+            found.push((i + 1, file, command));
+        }
+    }
+    Ok(found)
+}
+
 /// What one step of a pointer leads to.
 fn steps<'a>(value: &'a Value, step: &str) -> Result<Vec<&'a Value>> {
     let step = step.replace("~1", "/");

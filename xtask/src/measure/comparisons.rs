@@ -9,10 +9,11 @@ use std::path::Path;
 use std::process::Command;
 
 use anyhow::Result;
-use serde_json::{Value, json};
+use serde_json::Value;
 
-use super::{commit, evaluation, scratch, write};
+use super::{evaluation, scratch};
 use crate::programs;
+use crate::record;
 use crate::run::run as execute;
 
 /// Skins, and whether the thesis has a network for it.
@@ -20,7 +21,6 @@ const SKINS: [(&str, bool); 3] = [("line", true), ("grid", true), ("dome", false
 
 pub(super) fn comparisons(root: &Path) -> Result<Value> {
     let (dermis, dir) = (programs::dermis(root)?, scratch(root, "comparisons")?);
-    let commit = commit(root)?;
     let mut all = serde_json::Map::new();
     for (name, thesis) in SKINS {
         let skin = format!("launch/skins/baro-{name}.toml");
@@ -38,10 +38,8 @@ pub(super) fn comparisons(root: &Path) -> Result<Value> {
             execute(train.current_dir(root))?;
             compare.arg("--model").arg(model);
         }
-        let mut found = evaluation(compare.arg(&bag).current_dir(root))?;
-        found["command"] = json!("cargo xtask measure comparisons");
-        found["commit"] = json!(commit);
-        write(&root.join(format!("benches/results/comparison-{name}.json")), &found)?;
+        let found = evaluation(compare.arg(&bag).current_dir(root))?;
+        record::keep(root, &format!("comparison-{name}"), &found)?;
         all.insert(name.into(), found);
     }
     Ok(Value::Object(all))

@@ -1,11 +1,13 @@
-//! Tables 4.3 to 4.5 of the thesis on the simulated conductive panel: transfer, structure and reconstruction.
+//! Tables 4.3 to 4.5 of the thesis on the simulated conductive panel, and Figs. 4.2 to 4.6: transfer, structure, reconstruction, and the whole.
 //!
 //! Problem: how well networks carry a device's voltages over to its model, for numbers of contacts that they have and have not seen
 //! (Table 4.3), and how pixel and width of a contact decide what a map of forces is worth (Table 4.5). Method: collect → train →
 //! evaluate with the program itself; the "real" device has the family's default effects, the simulated one has none. Table 4.4 is
 //! counted from the configuration. Cost at share 1: hours on two cores for Table 4.3, days for Table 4.5; `--share` and `--epochs`
 //! make it less, and the result says what is reduced. An interrupted run goes on: bags, checkpoints and rows stay in
-//! `.dermis/measure`, apart for each commit, size and content of the files that they are made from.
+//! `.dermis/measure`, apart for each commit, size and content of the files that they are made from. Bags depend on no network: those of a
+//! share serve all maps, epochs and processors. Once a GPU has fitted a map, one core evaluates it frame
+//! by frame; with `--jobs` others are fitted meanwhile.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -17,11 +19,15 @@ use clap::Args;
 use serde_json::{Map, Value, json};
 use toml::{Table, Value as Toml};
 
+mod figures;
 mod networks;
+mod pipeline;
+mod variance;
 
 use self::networks::{MAPS, THESIS, configuration, structure};
-use super::{collected, commit, evaluation, fingerprint, read_toml, scratch, write};
+use super::{collected, evaluation, fingerprint, read_toml, scratch};
 use crate::programs;
+use crate::record::{commit, write};
 use crate::run::run as execute;
 
 const SKIN: &str = "launch/skins/ert-panel.toml";
@@ -31,7 +37,6 @@ const TRANSFER: &str = "launch/train/ert-panel-transfer.toml";
 const RESULT: &str = "benches/results/ert-tables.json";
 /// Plans that are scaled.
 const PLANS: [&str; 3] = ["hex-train", "hex-evaluate", "random-train"];
-const INVERSION: &str = "benches/results/ert-inversion.json";
 
 /// Locations of each number of contacts, and random presses, in the thesis.
 const THESIS_LOCATIONS: u32 = 3000;
@@ -55,7 +60,7 @@ pub struct Sizes {
     /// Tables that are measured; the record keeps what it has of the others.
     #[arg(long, value_delimiter = ',', default_values_t = [TableName::Transfer, TableName::Maps])]
     tables: Vec<TableName>,
-    /// Bags that are collected, and networks of Table 4.3 that are trained, at once.
+    /// Bags that are collected, and networks that are trained and evaluated, at once.
     #[arg(long, default_value_t = 1)]
     jobs: usize,
     /// What the networks of Table 4.5 are trained on, as `dermis train` has it: `gpu` in programs that were built for it. The record
@@ -73,6 +78,9 @@ enum TableName {
     /// Table 4.5.
     #[value(name = "4.5")]
     Maps,
+    /// Figs. 4.5 and 4.6: transfer and reconstruction as one bundle on the "real" device; sixteen networks. Never measured unless named.
+    #[value(name = "pipeline")]
+    Pipeline,
 }
 
 impl std::fmt::Display for TableName {
@@ -80,6 +88,7 @@ impl std::fmt::Display for TableName {
         f.write_str(match self {
             Self::Transfer => "4.3",
             Self::Maps => "4.5",
+            Self::Pipeline => "pipeline",
         })
     }
 }
@@ -89,6 +98,8 @@ struct Work<'a> {
     root: &'a Path,
     dermis: PathBuf,
     dir: PathBuf,
+    /// Of the bags, which depend on the share only.
+    data: PathBuf,
     sizes: &'a Sizes,
 }
 
@@ -106,15 +117,10 @@ pub(super) fn tables(root: &Path, sizes: &Sizes) -> Result<Value> {
         }
     }
     let dermis = programs::dermis(root)?;
-    let Sizes { share, epochs, processor, .. } = sizes;
-    // What was done of the same size and the same files is not done again; of another commit the measuring code may differ.
-    let plans = PLANS.map(|name| plan_file(Path::new(""), name));
-    let files: Vec<PathBuf> =
-        [SKIN, EFFECTS, THESIS, TRANSFER].map(PathBuf::from).into_iter().chain(plans).collect();
-    let made_of = fingerprint(root, &files, (commit(root)?, share.to_bits(), epochs, processor))?;
-    let dir = root.join(format!(".dermis/measure/ert-tables/{made_of:016x}"));
-    std::fs::create_dir_all(&dir)?;
-    let work = Work { root, dermis, dir, sizes };
+    let folders = folders(root, sizes)?;
+    folders.iter().try_for_each(std::fs::create_dir_all)?;
+    let [dir, data] = folders;
+    let work = Work { root, dermis, dir, data, sizes };
     let file = root.join(RESULT);
     let mut record: Map<String, Value> = match std::fs::read(&file) {
         Ok(text) => {
@@ -127,16 +133,37 @@ pub(super) fn tables(root: &Path, sizes: &Sizes) -> Result<Value> {
         let (key, rows) = match table {
             TableName::Transfer => ("table_4_3", work.transfer()?),
             TableName::Maps => ("table_4_5", work.maps()?),
+            TableName::Pipeline => ("pipeline", work.pipeline()?),
         };
-        let of = json!({ "commit": commit(root)?, "command": work.command(*table), "reduced": reduced(root, sizes)?, "rows": rows });
+        let mut of = json!({ "commit": commit(root)?, "command": work.command(*table), "reduced": reduced(root, sizes)?, "rows": rows });
+        if *table == TableName::Pipeline {
+            of["variance"] = pipeline::variances(&of["rows"]);
+            of["pages"] = json!(work.dir.strip_prefix(root).unwrap_or(&work.dir));
+        }
         record.insert(key.into(), of);
         write(&file, &Value::Object(record.clone()))?;
+    }
+    for figure in figures::draw(file.parent().unwrap_or(root), &Value::Object(record.clone()))? {
+        eprintln!("{} is drawn", figure.display());
     }
     Ok(Value::Object(record))
 }
 
-/// Contacts by inversion of the forward model on the presses of the plan that models are measured on, and writes the result beside the
-/// others.
+/// Folders of networks and rows of this size, and of the bags of this share. What was done of the same size and the same files is not done
+/// again; of another commit the measuring code may differ.
+fn folders(root: &Path, sizes: &Sizes) -> Result<[PathBuf; 2]> {
+    let Sizes { share, epochs, processor, .. } = sizes;
+    let plans = PLANS.into_iter().chain([pipeline::UNSEEN]).map(|name| plan_file(Path::new(""), name));
+    let of_bags: Vec<PathBuf> = [SKIN, EFFECTS].map(PathBuf::from).into_iter().chain(plans).collect();
+    let of_networks = [of_bags.clone(), [THESIS, TRANSFER].map(PathBuf::from).to_vec()].concat();
+    let commit = commit(root)?;
+    let networks = fingerprint(root, &of_networks, (&commit, share.to_bits(), epochs, processor))?;
+    let bags = fingerprint(root, &of_bags, (&commit, share.to_bits()))?;
+    let folder = |name: String| root.join(".dermis/measure/ert-tables").join(name);
+    Ok([folder(format!("{networks:016x}")), folder(format!("bags-{bags:016x}"))])
+}
+
+/// Contacts by inversion of the forward model on the presses of the plan that models are measured on.
 pub(super) fn inversion(root: &Path) -> Result<Value> {
     let (dermis, bag) = (programs::dermis(root)?, scratch(root, "panel")?.join("hex"));
     let mut collect = Command::new(&dermis);
@@ -144,9 +171,7 @@ pub(super) fn inversion(root: &Path) -> Result<Value> {
     execute(collect.current_dir(root))?;
     let mut evaluate = Command::new(&dermis);
     evaluate.args(["evaluate", "--invert", "--json", "--skin", SKIN]).arg(&bag).current_dir(root);
-    let value = evaluation(&mut evaluate)?;
-    write(&root.join(INVERSION), &value)?;
-    Ok(value)
+    evaluation(&mut evaluate)
 }
 
 /// What is less than in the thesis, in words and numbers.
@@ -195,11 +220,11 @@ impl Work<'_> {
         let Sizes { share, epochs, maps, processor, .. } = self.sizes;
         let mut text =
             format!("cargo xtask measure ert-tables --tables {table} --share {share} --epochs {epochs}");
-        if table == TableName::Maps && !maps.is_empty() {
+        if table != TableName::Transfer && !maps.is_empty() {
             let maps: Vec<String> = maps.iter().map(usize::to_string).collect();
             text += &format!(" --maps {}", maps.join(","));
         }
-        if table == TableName::Maps && processor != "cpu" {
+        if table != TableName::Transfer && processor != "cpu" {
             text += &format!(" --processor {processor}");
         }
         text
@@ -221,9 +246,9 @@ impl Work<'_> {
         let (mut plan, _) = scaled(&plan(self.root, plan_name)?, "hex", number, self.sizes.share);
         let of = number.map_or_else(String::new, |n| format!("-of-{n}"));
         let name = format!("{plan_name}{of}{}", if real { "-real" } else { "" });
-        let bag = self.dir.join(&name);
+        let bag = self.data.join(&name);
         plan.insert("name".into(), Toml::String(name.clone()));
-        let file = self.dir.join(format!("{name}.toml"));
+        let file = self.data.join(format!("{name}.toml"));
         std::fs::write(&file, toml::to_string(&plan)?)?;
         let mut collect = Command::new(&self.dermis);
         collect.arg("collect").arg(SKIN).arg("--plan").arg(&file).current_dir(self.root);
@@ -313,32 +338,41 @@ impl Work<'_> {
         let all = self.bags(&plans, false)?;
         let [hex, test, random] = <[PathBuf; 3]>::try_from(all).expect("a bag for each plan");
         let bags = [random, hex];
-        let mut rows = Vec::new();
-        for (index, map) in MAPS.into_iter().enumerate() {
-            let number = index + 1;
-            if !self.sizes.maps.is_empty() && !self.sizes.maps.contains(&number) {
-                continue;
-            }
+        let chosen = |number: &usize| self.sizes.maps.is_empty() || self.sizes.maps.contains(number);
+        let numbers: Vec<usize> = (1..=MAPS.len()).filter(chosen).collect();
+        let rows = at_once(self.sizes.jobs, &numbers, |&number| {
             let name = format!("map-{number}");
-            rows.push(self.row(&name, || {
-                let trained = self.train(&name, &configuration(&thesis, map)?, &bags, &[])?;
-                let mut evaluate = Command::new(&self.dermis);
-                evaluate.arg("evaluate").args(["--skin", SKIN, "--map-least-force", LIGHTEST, "--json"]);
-                evaluate.arg("--model").arg(self.dir.join(&name)).arg(&test).current_dir(self.root);
-                let found = evaluation(&mut evaluate)?;
-                let errors = &found["maps"]["map.normal"];
-                Ok(json!({
-                    "map": number,
-                    "pixel_mm": map[0],
-                    "diameter_mm": map[1],
-                    "samples": trained["samples"],
-                    "seconds": trained["seconds"],
-                    "contacts": errors["contacts"],
-                    "rms_n_and_fvu_by_number": errors["by_number"],
-                }))
-            })?);
-        }
+            self.row(&name, || {
+                self.drawn(&name, number, &configuration(&thesis, MAPS[number - 1])?, (&bags, &test))
+            })
+        })?;
         Ok(Value::Array(rows))
+    }
+
+    /// A row of Table 4.5: a map that was learned from bags, on another one.
+    fn drawn(
+        &self,
+        name: &str,
+        number: usize,
+        config: &Table,
+        (bags, test): (&[PathBuf], &Path),
+    ) -> Result<Value> {
+        let [pixel, diameter] = MAPS[number - 1];
+        let trained = self.train(name, config, bags, &[])?;
+        let mut evaluate = Command::new(&self.dermis);
+        evaluate.arg("evaluate").args(["--skin", SKIN, "--map-least-force", LIGHTEST, "--json"]);
+        evaluate.arg("--model").arg(self.dir.join(name)).arg(test).current_dir(self.root);
+        let found = evaluation(&mut evaluate)?;
+        let errors = &found["maps"]["map.normal"];
+        Ok(json!({
+            "map": number,
+            "pixel_mm": pixel,
+            "diameter_mm": diameter,
+            "samples": trained["samples"],
+            "seconds": trained["seconds"],
+            "contacts": errors["contacts"],
+            "rms_n_and_fvu_by_number": errors["by_number"],
+        }))
     }
 }
 
@@ -416,6 +450,24 @@ mod tests {
             assert_eq!(refused.unwrap_err().to_string(), "five");
         }
         assert!(at_once(2, &[], |_: &u32| Ok(())).unwrap().is_empty());
+    }
+
+    #[test]
+    fn maps_epochs_and_processors_share_their_bags() {
+        let of = |change: &dyn Fn(&mut Sizes)| {
+            let mut sizes = sizes(0.1, 5, &[]);
+            change(&mut sizes);
+            folders(&root(), &sizes).unwrap()
+        };
+        let [networks, bags] = of(&|_| {});
+        assert_eq!(of(&|s| s.maps = vec![3]), [networks.clone(), bags.clone()]);
+        for change in [|s: &mut Sizes| s.epochs = 6, |s: &mut Sizes| s.processor = "gpu".into()] {
+            let [others, same] = of(&change);
+            assert_ne!(others, networks);
+            assert_eq!(same, bags);
+        }
+        let [others, further] = of(&|s| s.share = 0.2);
+        assert!(others != networks && further != bags);
     }
 
     #[test]

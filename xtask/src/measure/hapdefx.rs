@@ -8,8 +8,9 @@ use clap::Args;
 use serde_json::{Map, Value, json};
 
 use super::limb::{LIMB_EFFECTS, limb_bag};
-use super::{LIMB, commit, evaluation, write};
+use super::{LIMB, evaluation};
 use crate::programs;
+use crate::record::{commit, write};
 
 /// How much is measured.
 #[derive(Args)]

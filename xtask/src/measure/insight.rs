@@ -11,28 +11,25 @@ use std::process::Command;
 use anyhow::{Context, Result};
 use serde_json::{Value, json};
 
-use super::{children_cpu, commit, evaluation, read_toml, scratch, write};
+use super::{children_cpu, evaluation, read_toml, scratch};
 use crate::programs;
+use crate::record;
 use crate::run::run as execute;
 
 const SKIN: &str = "launch/skins/insight-thumb.toml";
 const MODEL: &str = "models/insight-thumb";
-/// Plan, result, what is less than in the thesis or than was requested; in the order in which they are measured.
+/// Plan, record, what is less than in the thesis or than was requested; in the order in which they are measured.
 const PLANS: [(&str, &str, &str); 4] = [
     (
         "evaluate",
-        "benches/results/insight-accuracy.json",
+        "insight-accuracy",
         "150 locations with two presses each; the thesis has 187,358 samples at 3,800 locations",
     ),
-    ("fovea", "benches/results/insight-fovea.json", "60 locations with two presses each"),
-    (
-        "large-tip",
-        "benches/results/insight-large-tip.json",
-        "100 locations with two presses each; widths are not estimated",
-    ),
+    ("fovea", "insight-fovea", "60 locations with two presses each"),
+    ("large-tip", "insight-large-tip", "100 locations with two presses each; widths are not estimated"),
     (
         "contacts",
-        "benches/results/insight-contacts.json",
+        "insight-contacts",
         "ten presses of each number of contacts, each with some ten touched frames",
     ),
 ];
@@ -61,7 +58,7 @@ pub(super) fn accuracy(root: &Path) -> Result<Value> {
         of["seed"] = json!(seed(root, &file)?);
         of["reduced"] = json!(reduced);
         of["evaluation"] = found;
-        write(&root.join(result), &of)?;
+        record::keep(root, result, &of)?;
         all.insert(plan.to_owned(), of);
     }
     Ok(Value::Object(all))
@@ -76,7 +73,6 @@ const PROFILES: [(&str, [f64; 5]); 5] = [
     ("laplacian1", [0.6, 0.08, 10.2, 2.4, 4.2]),
     ("laplacian2", [0.7, 0.12, 13.7, 2.2, 3.5]),
 ];
-const MAPS: &str = "benches/results/insight-maps.json";
 const MAP_PLAN: &str = "launch/plans/insight-thumb-train.toml";
 const MAP_CONFIG: &str = "launch/train/insight-thumb-map.toml";
 
@@ -106,16 +102,12 @@ pub(super) fn maps(root: &Path) -> Result<Value> {
         of["cpu_seconds"] = json!(seconds);
         found.insert(profile.into(), of);
     }
-    let record = json!({
-        "command": "cargo xtask measure insight-maps",
-        "commit": commit(root)?,
+    Ok(json!({
         "reduced": "600 locations, a quarter of them held out, and a dense network of 128 and 128 on 1500 numbers; the thesis has 187,358 samples at 3,800 locations and a \
                     residual network on pictures of 410 x 308 pixels",
         "seed": seed(root, MAP_PLAN)?,
         "maps": found,
-    });
-    write(&root.join(MAPS), &record)?;
-    Ok(record)
+    }))
 }
 
 /// Errors of one contact by the strongest points of the force map, in millimetres, newtons and degrees.

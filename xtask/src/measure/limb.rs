@@ -6,7 +6,7 @@ use std::process::Command;
 use anyhow::{Context, Result};
 use serde_json::{Value, json};
 
-use super::{LIMB, collected, commit, evaluation, fingerprint, scratch, write};
+use super::{LIMB, collected, evaluation, fingerprint, scratch};
 use crate::programs;
 use crate::run::run as execute;
 
@@ -150,17 +150,13 @@ pub(super) fn real2sim(root: &Path) -> Result<Value> {
     let mut record = found.as_object().cloned().context("the comparison is no object")?;
     record.get_mut("rows").and_then(Value::as_array_mut).into_iter().flatten().for_each(shorten);
     for (key, value) in [
-        ("command", json!("cargo xtask measure real2sim")),
-        ("commit", json!(commit(root)?)),
         ("corrected", rows("corrected model, all pairs")),
         // Reduced: `cargo xtask measure hapdefx` has the sizes of the thesis.
         ("hapdefx", rows("hapdef-shin-real2sim: peaks")),
     ] {
         record.insert(key.to_owned(), value);
     }
-    let record = Value::Object(record);
-    write(&root.join("benches/results/real2sim-shin.json"), &record)?;
-    Ok(record)
+    Ok(Value::Object(record))
 }
 
 /// Leaves of the evaluation of a row what tables show: errors by force and, over all forces, beside their bounds.

@@ -10,7 +10,7 @@ use std::process::Command;
 use anyhow::{Context, Result};
 use serde_json::{Value, json};
 
-use super::{commit, evaluation, read_toml, recordings, scratch, write};
+use super::{evaluation, read_toml, recordings, scratch};
 use crate::programs;
 use crate::run::run as execute;
 
@@ -127,7 +127,8 @@ pub(super) fn recorded(root: &Path, quantity: &Quantity) -> Result<Value> {
                 if i != j && *split == "press" {
                     continue;
                 }
-                let result = work.evaluate(&model, bag, i == j)?;
+                let mut result = work.evaluate(&model, bag, i == j)?;
+                shorten(&mut result);
                 rows.push(json!({
                     "trained_on": train.file_name().map(|n| n.to_string_lossy()),
                     "tested_on": bag.file_name().map(|n| n.to_string_lossy()),
@@ -165,11 +166,18 @@ pub(super) fn recorded(root: &Path, quantity: &Quantity) -> Result<Value> {
     })
 }
 
+/// Leaves of an evaluation what tables show.
+fn shorten(evaluation: &mut Value) {
+    let kept = ["frames", "missed", "false_contacts", "not_found", "figures", "quantities"];
+    if let Some(object) = evaluation.as_object_mut() {
+        object.retain(|key, _| kept.contains(&key.as_str()));
+    }
+}
+
 /// Regressors that a bundle can hold, each alone; the shipped configuration lets `dermis train` choose among them.
 const CANDIDATES: [&str; 3] = ["network", "vectors", "gaussian"];
 /// What is called so is chosen among them.
 const CHOSEN: &str = "chosen";
-const RESULT: &str = "benches/results/transfers.json";
 
 /// What `dermis train` chooses beside each regressor alone, on another run and on the end of the same.
 pub(super) fn transfers(root: &Path) -> Result<Value> {
@@ -193,15 +201,11 @@ pub(super) fn transfers(root: &Path) -> Result<Value> {
         }
     }
     let ratios = || rows.iter().filter_map(|row| row["ratio_to_best"].as_f64());
-    let record = json!({
-        "command": "cargo xtask measure transfers",
-        "commit": commit(root)?,
+    Ok(json!({
         "worst_ratio_to_best": ratios().fold(f64::NAN, f64::max),
         "best_chosen": ratios().filter(|ratio| *ratio <= 1.0).count(),
         "transfers": rows,
-    });
-    write(&root.join(RESULT), &record)?;
-    Ok(record)
+    }))
 }
 
 /// Models of one run in a folder: by the shipped configuration, which chooses, and by each regressor alone.

@@ -212,17 +212,18 @@ fn slides_are_found_and_others_are_not() {
         ("flat, 1 kHz", score(Thing::Flat, 1000, full, 15)),
     ];
     for (name, score) in &cases {
+        // `cargo xtask measure slip` reads this line.
         println!(
-            "{name}: of {} slides {:.0} % found within 0.1 s, of {} reports {:.0} % right, {:.0} % of frames right (of the others {:.0} slide and {:.0} stick); said to slip, if incipiently: {:.0} % of frames within 15 % of sliding, {:.0} % of those below 70 % of it",
+            r#"figures: {{"what": "{name}", "slides": {}, "found": {:.4}, "reports": {}, "reports_right": {:.4}, "frames_right": {:.4}, "wrong_while_sliding": {}, "wrong_while_sticking": {}, "near_said_to_slip": {:.4}, "far_said_to_slip": {:.4}}}"#,
             score.slides[0],
-            100.0 * score.recall(),
+            score.recall(),
             score.slides[2],
-            100.0 * score.precision(),
-            100.0 * score.accuracy(),
+            score.precision(),
+            score.accuracy(),
             score.frames[2],
             score.frames[3],
-            100.0 * score.near[1] / score.near[0],
-            100.0 * score.far[1] / score.far[0],
+            score.near[1] / score.near[0],
+            score.far[1] / score.far[0],
         );
     }
     for (name, score) in &cases {
