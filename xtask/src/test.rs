@@ -21,7 +21,7 @@ pub struct Options {
     /// Leave out formatting, lints and licences.
     #[arg(long)]
     no_lint: bool,
-    /// Also the tests that need minutes and the machine to themselves: the long run, and the listener that hangs.
+    /// Also the tests that need minutes and the machine to themselves: the long run, the listener that hangs, and the meshes of a shell.
     #[arg(long)]
     nightly: bool,
     /// Only tests whose name contains this; without formatting, lints and licences, and with ROS 2 in the program only where one of its
@@ -185,7 +185,9 @@ impl Built<'_> {
         let profile = if options.nightly {
             "--profile=nightly"
         } else {
-            skipped.push("the long run and the listener that hangs (--nightly)".to_owned());
+            skipped.push(
+                "the long run, the listener that hangs and the meshes of a shell (--nightly)".to_owned(),
+            );
             "--profile=default"
         };
         let tests = ["nextest", "run", "--release", profile];

@@ -318,7 +318,7 @@ fn mistakes_in_a_run_are_named() {
     let dir = tempfile::tempdir().unwrap();
     fs::write(dir.path().join("notes.txt"), "x").unwrap();
     let error = auto(dir.path(), &dir.path().join("out")).unwrap_err().to_string();
-    insta::assert_snapshot!(error.replace(&dir.path().display().to_string(), "FOLDER"), @"FOLDER is no recording that can be imported: known are an eFlesh run (a folder with sensor.csv and states.csv), a hydrogel skin (a folder with inp_*.csv and out_*.csv), impedance tomography of tanks (*Hz.csv, .txt that begins with #MEAS, .npz with phantomdata), and tactile_fsi files (presses as .xlsx, time series as .npz), or a folder of these");
+    insta::assert_snapshot!(error.replace(&dir.path().display().to_string(), "FOLDER"), @"FOLDER is no recording that can be imported: known are an eFlesh run (a folder with sensor.csv and states.csv), a hydrogel skin (a folder with inp_*.csv and out_*.csv), impedance tomography of tanks (*Hz.csv, .txt that begins with #MEAS, .npz with phantomdata, .mat of MATLAB's level 5), and tactile_fsi files (presses as .xlsx, time series as .npz), or a folder of these");
 }
 
 /// A workbook of one sheet; text cells are those that are no numbers.

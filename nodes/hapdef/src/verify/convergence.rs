@@ -119,7 +119,7 @@ mod tests {
     use super::super::shin;
     use super::*;
 
-    /// A minute of CalculiX.
+    /// Minutes of CalculiX: run by `cargo xtask test --nightly`.
     #[test]
     fn a_shell_that_shears_comes_closer_and_finer_triangles_closer_still() {
         if !calculix::available() {
