@@ -180,9 +180,8 @@ fn sheets(skin: &SkinDescription, causes: &Causes, drive: &Drive) -> Result<Opti
     }
     let unroll = Unroll::of(skin);
     let designed: Vec<[f64; 2]> = skin.taxels.iter().map(|t| unroll.at(&t.point())).collect();
-    let size = match skin.surface {
-        SurfaceSpec::Rectangle { size, .. } | SurfaceSpec::Panel { size, .. } => size,
-        _ => return Err(BenchmarkError::skin(skin, "surface", "is no rectangle, flat or bent around x")),
+    let (SurfaceSpec::Rectangle { size, .. } | SurfaceSpec::Panel { size, .. }) = skin.surface else {
+        return Err(BenchmarkError::skin(skin, "surface", "is no rectangle, flat or bent around x"));
     };
     let half = size.map(|s| s / 2.0);
     let mut sewn = designed.clone();

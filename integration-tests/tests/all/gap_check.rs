@@ -1,5 +1,7 @@
 //! Benchmark sets with withheld causes and the check on them, through the program as anybody would call it.
 
+#![expect(clippy::unwrap_used, reason = "a panic is the report of a failed test")]
+
 use std::path::Path;
 use std::process::Command;
 

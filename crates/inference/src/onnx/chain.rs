@@ -54,7 +54,7 @@ pub fn chain(parts: &[(&str, &[u8])]) -> Result<Vec<u8>, ChainError> {
             match field.map_err(garbled)? {
                 (1, Value::Number(version)) => ir_version = version.max(ir_version),
                 (7, Value::Bytes(graph)) => {
-                    names.graph(graph, &mut nodes, &mut constants).map_err(garbled)?
+                    names.graph(graph, &mut nodes, &mut constants).map_err(garbled)?;
                 }
                 (25, _) => return Err(garbled("it defines operators of its own".into())),
                 _ => {}

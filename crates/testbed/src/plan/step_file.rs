@@ -377,6 +377,36 @@ impl StepFile {
 
 impl From<Step> for StepFile {
     fn from(step: Step) -> Self {
+        let file = Self::doing(step.action);
+        let PressProfile {
+            diameter,
+            shear,
+            shear_direction,
+            load,
+            hold,
+            unload,
+            gap,
+            least_force,
+            most_force,
+        } = step.profile;
+        Self {
+            diameter: OneOrMore::of(diameter),
+            shear: shear.map(OneOrTwo::from),
+            shear_direction,
+            load,
+            hold,
+            unload,
+            gap,
+            least_force,
+            most_force,
+            ..file
+        }
+    }
+}
+
+impl StepFile {
+    /// What a step does, without how each press is made.
+    fn doing(action: Action) -> Self {
         let ranges = |level: Level<[f64; 2]>| match level {
             Level::Force(force) => (Some(force), None),
             Level::Depth(depth) => (None, Some(depth)),
@@ -390,7 +420,7 @@ impl From<Step> for StepFile {
             file.repeats = Some(levels.repeats);
             file
         };
-        let file = match step.action {
+        match action {
             Action::Idle { duration } => Self { duration: Some(duration), ..Self::of(Kind::Idle) },
             Action::Presses { count, level, repeats } => {
                 let (force, depth) = ranges(level);
@@ -443,29 +473,6 @@ impl From<Step> for StepFile {
                     PostureSet::Grid(counts) => Self { counts: Some(counts), ..file },
                 }
             }
-        };
-        let PressProfile {
-            diameter,
-            shear,
-            shear_direction,
-            load,
-            hold,
-            unload,
-            gap,
-            least_force,
-            most_force,
-        } = step.profile;
-        Self {
-            diameter: OneOrMore::of(diameter),
-            shear: shear.map(OneOrTwo::from),
-            shear_direction,
-            load,
-            hold,
-            unload,
-            gap,
-            least_force,
-            most_force,
-            ..file
         }
     }
 }

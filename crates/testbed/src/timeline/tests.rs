@@ -569,6 +569,7 @@ fn a_slide_stops_after_each_stroke_and_comes_back() {
 
 /// Gravity in the frame of the link: of Ry(yaw) Rz(roll), g (sin yaw cos roll, −sin yaw sin roll, −cos yaw).
 #[test]
+#[expect(clippy::approx_constant, reason = "as plans write them")]
 fn postures_turn_gravity_in_the_frame_of_the_link() {
     let steps = |set: &str| {
         format!(
