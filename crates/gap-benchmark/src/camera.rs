@@ -19,7 +19,7 @@ use crate::cause::{Cause, Causes};
 use crate::designs::Nominal;
 use crate::fabric::{earlier, shift};
 use crate::script::{Rig, Script};
-use crate::{BenchmarkError, Designs, Noise, ReferenceDevice, Region, laws, loads, memory};
+use crate::{BenchmarkError, Designs, Noise, ReferenceDevice, Region, laws, memory};
 use picture::{Blocks, COLOURS, Moved};
 
 pub(crate) use causes::CAUSES;
@@ -68,13 +68,6 @@ pub(crate) fn rig(skin: &SkinDescription, size: f64) -> Rig {
     }
 }
 
-/// A point of the surface that a cause sits at.
-fn spot(skin: &SkinDescription, cause: &Cause) -> Point3<f64> {
-    let surface = skin.surface();
-    let points = surface.points.len();
-    surface.points[cause.rng().random_range(0..points.max(1))]
-}
-
 /// Places \[px\] of drops on a lens.
 fn drops(blocks: &Blocks, cause: &Cause) -> [[f64; 2]; DROPS.0] {
     let mut rng = cause.rng();
@@ -93,7 +86,7 @@ fn through(blocks: &Blocks, drops: &[[f64; 2]], block: usize) -> f64 {
 pub(crate) fn place(skin: &SkinDescription, cause: &Cause) -> Option<Region> {
     match cause.id.as_str() {
         "scratched-inside" | "soft-spot" => {
-            Some(Region::Place { at: spot(skin, cause).coords.into(), within: 2.0 * SPOT })
+            Some(Region::Place { at: cause.point_of(&skin.surface()).coords.into(), within: 2.0 * SPOT })
         }
         "stained-lens" => {
             let blocks = Blocks::of(skin, &skin.surface()).ok()?;
@@ -137,7 +130,7 @@ impl CameraDevice {
         let mut zero = vec![0.0; nominal.model.channels()];
         nominal.model.untouched(&mut zero)?;
         let at = ["scratched-inside", "soft-spot"].into_iter().find_map(|id| causes.get(id));
-        let spot = at.map_or_else(Point3::origin, |(cause, _)| spot(skin, cause));
+        let spot = at.map_or_else(Point3::origin, |(cause, _)| cause.point_of(&skin.surface()));
         let seeing = match causes.get("scratched-inside") {
             Some(_) => seeing(&nominal, &blocks, &zero, &spot)?,
             None => Vec::new(),
@@ -181,12 +174,7 @@ impl ReferenceDevice for CameraDevice {
 
     fn readings(&self, script: &Script, noise: Option<Noise>) -> Result<Vec<f64>, BenchmarkError> {
         let channels = self.zero.len();
-        let mut readings = if loads::act_on_loads(&self.causes) {
-            let really = loads::really(&self.causes, script, self.nominal.model.surface());
-            self.nominal.stepped(&really)?
-        } else {
-            self.nominal.readings(script)?.as_ref().clone()
-        };
+        let mut readings = self.nominal.pressed(&self.causes, script)?;
         self.elastomer(script, &mut readings);
         self.light(script, &mut readings);
         self.lens(script, &mut readings);
@@ -224,8 +212,7 @@ impl CameraDevice {
             memory::creep(script, channels, (-share, 0.25), readings);
         }
         if let Some((cause, share)) = self.causes.get("standard-solid") {
-            let time = 0.5 * 10f64.powf(0.5 * (1.0 + cause.normals(1)[0].clamp(-1.0, 1.0)));
-            laws::standard_solid(script, channels, (-share, time), readings);
+            laws::standard_solid(script, channels, (-share, laws::solid_time(cause)), readings);
         }
         if let Some((_, share)) = self.causes.get("permanent-set") {
             laws::permanent_set(channels, share, readings);

@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use dermis_skin::Surface;
+use nalgebra::Point3;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
@@ -127,6 +129,11 @@ impl Cause {
         let mut rng = self.rng();
         rng.set_stream(9);
         if rng.random::<bool>() { 1.0 } else { -1.0 }
+    }
+
+    /// A point of a surface that it sits at.
+    pub(crate) fn point_of(&self, surface: &Surface) -> Point3<f64> {
+        surface.points[self.rng().random_range(0..surface.points.len())]
     }
 
     /// Standard normal numbers, one a channel.

@@ -12,6 +12,26 @@ pub(crate) const DRAGGING_TIP: CauseInfo = CauseInfo::new(
 )
 .cell(Cell::OtherLaw);
 
+pub(crate) const SOFTENING: CauseInfo = CauseInfo::new(
+    "softening",
+    "where it was loaded before the material answers less below the load that it knows",
+    "Ogden and Roxburgh 1999",
+    ("loss", "1", 0.7),
+    false,
+    true,
+)
+.cell(Cell::OtherLaw);
+
+pub(crate) const INNER_FRICTION: CauseInfo = CauseInfo::new(
+    "inner-friction",
+    "loading reads less than unloading, whatever the speed",
+    "Bouc 1967, Wen 1976; amplitude in proportion to the load",
+    ("half-width", "1", 0.5),
+    false,
+    true,
+)
+.cell(Cell::OtherLaw);
+
 pub(crate) const SOFT_CEILING: CauseInfo = CauseInfo::new(
     "soft-ceiling",
     "readings bend over towards a ceiling",

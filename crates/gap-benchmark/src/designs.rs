@@ -10,7 +10,8 @@ use std::sync::{Arc, Mutex};
 use dermis_model::ForwardModel;
 use dermis_skin::SkinDescription;
 
-use crate::{BenchmarkError, Script};
+use crate::cause::Causes;
+use crate::{BenchmarkError, Script, loads};
 
 /// A description → the family's forward model of it, or why there is none.
 pub type Make<'a> = &'a (dyn Fn(&SkinDescription) -> Result<Arc<dyn ForwardModel>, String> + Sync);
@@ -66,7 +67,9 @@ impl<'a> Designs<'a> {
             return Ok(nominal.clone());
         }
         let refused = |reason: String| BenchmarkError::Design { skin: skin.name.clone(), reason };
-        let make = self.make.ok_or_else(|| refused("no family was given that knows it".to_owned()))?;
+        let make = self.make.ok_or_else(|| {
+            refused("no forward model was given to the benchmark for this sensor family".to_owned())
+        })?;
         let nominal = Nominal { hash, model: make(skin).map_err(refused)?, answered: Arc::default() };
         if let Ok(mut kept) = self.kept.lock() {
             kept.truncate(KEPT - 1);
@@ -90,6 +93,15 @@ impl Nominal {
             *answered = Some(Answered { script: script.clone(), readings: Arc::clone(&readings) });
         }
         Ok(readings)
+    }
+
+    /// Noise-free readings of such a device that is pressed as the causes have it.
+    pub fn pressed(&self, causes: &Causes, script: &Script) -> Result<Vec<f64>, BenchmarkError> {
+        if loads::act_on_loads(causes) {
+            self.stepped(&loads::really(causes, script, self.model.surface()))
+        } else {
+            Ok(self.readings(script)?.as_ref().clone())
+        }
     }
 
     /// As [`readings`](Self::readings), of a script that was changed by a cause: nothing is kept.

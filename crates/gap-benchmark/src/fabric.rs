@@ -20,7 +20,7 @@ use rand_distr::StandardNormal;
 use crate::cause::{Cause, Causes};
 use crate::designs::Nominal;
 use crate::script::{Rig, Script};
-use crate::{BenchmarkError, Designs, Noise, Numerics, ReferenceDevice, Region, laws, loads, memory, number};
+use crate::{BenchmarkError, Designs, Noise, Numerics, ReferenceDevice, Region, laws, memory, number};
 use sheet::{Foam, Sheet, Weave};
 use wires::Drive;
 
@@ -85,19 +85,12 @@ pub(crate) fn rig(skin: &SkinDescription, size: f64) -> Rig {
     }
 }
 
-/// A point of the surface that a cause sits at.
-fn spot(skin: &SkinDescription, cause: &Cause) -> Point3<f64> {
-    let surface = skin.surface();
-    let points = surface.points.len();
-    surface.points[cause.rng().random_range(0..points.max(1))]
-}
-
 /// Where a cause sits.
 pub(crate) fn place(skin: &SkinDescription, cause: &Cause) -> Option<Region> {
     let electrodes = skin.taxels.len();
     match cause.id.as_str() {
         "torn-patch" | "soft-spot" => {
-            Some(Region::Place { at: spot(skin, cause).coords.into(), within: 2.0 * PATCH })
+            Some(Region::Place { at: cause.point_of(&skin.surface()).coords.into(), within: 2.0 * PATCH })
         }
         "open-wire" | "touching-thread" => {
             let e = wires::one(cause, electrodes);
@@ -158,7 +151,8 @@ impl FabricDevice {
             count: full_scale / number(skin, "drive.bits")?.exp2(),
             electrodes: skin.taxels.len(),
         };
-        let soft = causes.get("soft-spot").map_or_else(Point3::origin, |(cause, _)| spot(skin, cause));
+        let soft =
+            causes.get("soft-spot").map_or_else(Point3::origin, |(cause, _)| cause.point_of(&skin.surface()));
         Ok(Self {
             sheets: sheets(skin, &causes, &drive)?,
             noise: skin.channel_noise(),
@@ -200,7 +194,9 @@ fn sheets(skin: &SkinDescription, causes: &Causes, drive: &Drive) -> Result<Opti
         exponent: number(skin, "foam.exponent")?,
         cover: number(skin, "top.thickness").unwrap_or(0.0),
     };
-    let torn = causes.get("torn-patch").map(|(cause, decades)| (unroll.at(&spot(skin, cause)), decades));
+    let torn = causes
+        .get("torn-patch")
+        .map(|(cause, decades)| (unroll.at(&cause.point_of(&skin.surface())), decades));
     let patch = move |at: [f64; 2]| {
         torn.map_or(1.0, |(middle, decades)| {
             let off = (at[0] - middle[0]).hypot(at[1] - middle[1]) / PATCH;
@@ -254,7 +250,7 @@ impl Unroll {
 impl Sheets {
     /// Adds what the sheets change under the (first) contact of every instant.
     fn add(&self, script: &Script, readings: &mut [f64]) {
-        let channels = readings.len() / script.instants.len().max(1);
+        let channels = self.design.untouched().len();
         let of = |sheet: &Sheet, contact: Option<&Indentation>| {
             let pressed = contact
                 .and_then(|c| sheet.between(self.unroll.at(&c.position), 0.5 * c.diameter(), c.force.norm()));
@@ -280,12 +276,7 @@ impl ReferenceDevice for FabricDevice {
 
     fn readings(&self, script: &Script, noise: Option<Noise>) -> Result<Vec<f64>, BenchmarkError> {
         let channels = self.zero.len();
-        let mut readings = if loads::act_on_loads(&self.causes) {
-            let really = loads::really(&self.causes, script, self.nominal.model.surface());
-            self.nominal.stepped(&really)?
-        } else {
-            self.nominal.readings(script)?.as_ref().clone()
-        };
+        let mut readings = self.nominal.pressed(&self.causes, script)?;
         if let Some(sheets) = &self.sheets {
             sheets.add(script, &mut readings);
         }

@@ -12,9 +12,9 @@
 //!
 //! Rows are one reading a channel, row after row.
 
-use nalgebra::{Point2, Point3, Vector2};
+use nalgebra::{Point2, Point3, Vector2, Vector3};
 
-use crate::cause::Causes;
+use crate::cause::{Cause, Causes};
 use crate::memory::scale;
 use crate::script::Script;
 
@@ -167,6 +167,18 @@ pub(crate) fn crack(
     }
 }
 
+/// \[N\] with which a tip that slid `way` \[m\] in `time` \[s\] drags the surface along: friction grows less than the load (Schallamach).
+pub(crate) fn drag(friction: f64, pressing: f64, way: Vector3<f64>, time: f64) -> Vector3<f64> {
+    let speed = way / time.max(1e-6);
+    let drag = friction * pressing * pressing.max(1e-3).powf(-1.0 / 9.0);
+    speed / (speed.norm() + 5e-4) * drag
+}
+
+/// \[s\] of a standard solid, drawn once a device.
+pub(crate) fn solid_time(cause: &Cause) -> f64 {
+    0.5 * 10f64.powf(0.5 * (1.0 + cause.normals(1)[0].clamp(-1.0, 1.0)))
+}
+
 /// What material and converter remember by these laws. `creeps` is the sign of creep: a reading that is held fades, or grows.
 pub(crate) fn remember(causes: &Causes, script: &Script, channels: usize, creeps: f64, readings: &mut [f64]) {
     if let Some((_, width)) = causes.get("preisach-friction") {
@@ -176,8 +188,7 @@ pub(crate) fn remember(causes: &Causes, script: &Script, channels: usize, creeps
         maxwell_slip(channels, width, readings);
     }
     if let Some((cause, share)) = causes.get("standard-solid") {
-        let time = 0.5 * 10f64.powf(0.5 * (1.0 + cause.normals(1)[0].clamp(-1.0, 1.0)));
-        standard_solid(script, channels, (creeps * share, time), readings);
+        standard_solid(script, channels, (creeps * share, solid_time(cause)), readings);
     }
     if let Some((_, loss)) = causes.get("wearing-logarithmic") {
         worn(channels, loss, readings);

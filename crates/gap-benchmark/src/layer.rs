@@ -373,10 +373,8 @@ impl LayerDevice {
                 if let (Some((then, from)), Some((time, to)), Some(contact)) =
                     (before, now, stimulus.contacts.first_mut())
                 {
-                    let speed = (to - from) / (time - then).max(1e-6);
                     let pressing = -contact.force.z;
-                    let drag = friction * pressing * pressing.max(1e-3).powf(-1.0 / 9.0);
-                    contact.force += speed / (speed.norm() + 5e-4) * drag;
+                    contact.force += laws::drag(friction, pressing, to - from, time - then);
                 }
                 before = now;
             }

@@ -150,18 +150,16 @@ fn displaced(causes: &Causes, script: &mut Script, surface: &Surface) {
     }
 }
 
-/// A tip that slides drags the surface along; friction grows less than the load (Schallamach).
+/// A tip that slides drags the surface along.
 fn dragged(causes: &Causes, script: &mut Script) {
     let Some((_, friction)) = causes.get("dragging-tip") else { return };
     let mut before: Option<(f64, Point3<f64>)> = None;
     for instant in &mut script.instants {
         let now = instant.moment.stimulus.contacts.first().map(|c| (instant.time, c.position));
         if let (Some((then, from)), Some((time, to))) = (before, now) {
-            let speed = (to - from) / (time - then).max(1e-6);
             for contact in &mut instant.moment.stimulus.contacts {
                 let pressing = contact.force.norm();
-                let drag = friction * pressing * pressing.max(1e-3).powf(-1.0 / 9.0);
-                contact.force += speed / (speed.norm() + 5e-4) * drag;
+                contact.force += laws::drag(friction, pressing, to - from, time - then);
             }
         }
         before = now;
@@ -184,6 +182,16 @@ pub(crate) const SCALED_FORCE: CauseInfo = CauseInfo::new(
     "calibration of a force cell",
     ("relative-change", "1", 0.5),
     true,
+    true,
+);
+
+/// A rig that is registered wrongly; the size is that of a panel.
+pub(crate) const SHIFTED_RIG: CauseInfo = CauseInfo::new(
+    "shifted-rig",
+    "the rig's frame lies beside that of the skin",
+    "registration of stage and skin",
+    ("shift", "m", 0.03),
+    false,
     true,
 );
 

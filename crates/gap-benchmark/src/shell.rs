@@ -44,11 +44,6 @@ fn thin_at(shape: &Shape, cause: &Cause) -> [f64; 2] {
     [0.35 * shape.size[0], 0.35 * shape.size[1]].map(|half| rng.random_range(-half..half))
 }
 
-/// Where a soft spot is.
-fn soft_at(surface: &Surface, cause: &Cause) -> Point3<f64> {
-    surface.points[cause.rng().random_range(0..surface.points.len())]
-}
-
 /// The reference device.
 #[derive(Debug)]
 pub(crate) struct ShellDevice {
@@ -79,7 +74,7 @@ impl ShellDevice {
     /// Where a cause sits on the surface.
     pub fn place(skin: &SkinDescription, cause: &Cause) -> Option<Region> {
         if cause.id == "soft-spot" {
-            let at = soft_at(&skin.surface(), cause);
+            let at = cause.point_of(&skin.surface());
             return Some(Region::Place { at: at.coords.into(), within: 2.0 * THIN });
         }
         let shape = Shape::of(&skin.surface).filter(|_| cause.id == "broken-beam")?;
@@ -281,10 +276,8 @@ impl ReferenceDevice for ShellDevice {
                     contact.position = Point3::new(x + by * angle.cos(), radius * sin, radius * cos);
                 }
                 if let (true, Some((then, from)), Some((time, to))) = (friction > 0.0, before, now) {
-                    let speed = (to - from) / (time - then).max(1e-6);
                     let pressing = contact.force.norm();
-                    let drag = friction * pressing * pressing.max(1e-3).powf(-1.0 / 9.0);
-                    contact.force += speed / (speed.norm() + 5e-4) * drag;
+                    contact.force += laws::drag(friction, pressing, to - from, time - then);
                 }
                 let influence = match &last {
                     Some((at, influence)) if *at == contact.position => influence.clone(),
@@ -298,7 +291,7 @@ impl ReferenceDevice for ShellDevice {
             before = now;
         }
         if let Some((cause, rise)) = self.causes.get("soft-spot") {
-            let at = soft_at(&self.panel.surface, cause);
+            let at = cause.point_of(&self.panel.surface);
             laws::soft_spot(script, channels, (&at, THIN), rise, &mut readings);
         }
         if let Some((_, width)) = self.causes.get("rubbing-joint") {

@@ -177,14 +177,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
     // The rig.
     loads::SCALED_FORCE,
     CauseInfo { size: ("relative-change", "1", 0.9), ..loads::WIDE_TIP },
-    CauseInfo::new(
-        "shifted-rig",
-        "the rig's frame lies beside that of the skin",
-        "registration of stage and skin",
-        ("shift", "m", 0.004),
-        false,
-        true,
-    ),
+    CauseInfo { size: ("shift", "m", 0.004), ..loads::SHIFTED_RIG },
     common::LATE_STAMPS,
     // What does not come again.
     CauseInfo::new(

@@ -23,6 +23,8 @@ const FULL_WIDTH: f64 = 1640.0;
 const MIDDLE: f64 = 0.5;
 /// Pixels of a shift that take a radian of the ridges' phase.
 const RIDGE: f64 = 6.0;
+/// Squares of 8 x 8 pixels that stand for a block.
+const SQUARES: usize = 6;
 /// Share of the light that comes from everywhere.
 const AMBIENT: f64 = 0.1;
 
@@ -65,8 +67,9 @@ impl Blocks {
         let [columns, rows] = pair(skin.medium.get("blocks"), "medium.blocks")?;
         let size = pair(skin.medium.get("camera").and_then(|c| c.get("size")), "medium.camera.size")?;
         let (columns, rows) = (columns as usize, rows as usize);
-        let per = skin.channels().len() / (columns * rows);
-        if per < COLOURS || per * columns * rows != skin.channels().len() {
+        let channels = skin.channels().len();
+        let per = columns.checked_mul(rows).map_or(0, |count| channels / count);
+        if per < COLOURS || per * columns * rows != channels {
             let reason = format!("are no three colours or more of {columns} x {rows} blocks");
             return Err(BenchmarkError::skin(skin, "channels", &reason));
         }
@@ -247,7 +250,6 @@ impl Blocks {
     /// Compresses the picture: the mean of each square of 8 pixels comes in steps, and ridges are lost in them. `texture` is what
     /// pixels lie apart from their block's mean: six squares for each colour of each block.
     pub fn compress(&self, row: &mut [f64], step: f64, texture: &[f64]) {
-        const SQUARES: usize = 6;
         let left = 1.0 / (1.0 + (step / 0.04).powi(2));
         for (block, numbers) in row.chunks_mut(self.per).enumerate() {
             for (colour, v) in numbers[..COLOURS].iter_mut().enumerate() {
@@ -262,7 +264,7 @@ impl Blocks {
 
     /// Numbers that [`compress`](Self::compress) needs.
     pub fn squares(&self) -> usize {
-        self.columns * self.rows * COLOURS * 6
+        self.columns * self.rows * COLOURS * SQUARES
     }
 }
 

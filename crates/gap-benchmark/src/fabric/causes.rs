@@ -41,15 +41,7 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
     // The foam.
     CauseInfo { size: ("share", "1", 0.9), ..common::PREISACH_FRICTION },
     common::SLIPPING_ELEMENTS,
-    CauseInfo::new(
-        "inner-friction",
-        "loading reads less than unloading, whatever the speed",
-        "Bouc 1967, Wen 1976; amplitude in proportion to the load",
-        ("half-width", "1", 0.5),
-        false,
-        true,
-    )
-    .cell(Cell::OtherLaw),
+    common::INNER_FRICTION,
     CauseInfo::new(
         "creeping-foam",
         "foam that is held conducts more and more, over a continuous spectrum of times",
@@ -59,28 +51,13 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         true,
     )
     .cell(Cell::OtherLaw),
-    CauseInfo::new(
-        "softening",
-        "where it was loaded before the material answers less below the load that it knows",
-        "Ogden and Roxburgh 1999",
-        ("loss", "1", 0.7),
-        false,
-        true,
-    )
-    .cell(Cell::OtherLaw),
+    common::SOFTENING,
     common::SOFT_SPOT,
     common::PERMANENT_SET,
     // The rig.
     loads::SCALED_FORCE,
     loads::WIDE_TIP,
-    CauseInfo::new(
-        "shifted-rig",
-        "the rig's frame lies beside that of the skin",
-        "registration of stage and skin",
-        ("shift", "m", 0.03),
-        false,
-        true,
-    ),
+    loads::SHIFTED_RIG,
     // Wires, multiplexer and converter.
     CauseInfo::new(
         "poor-seams",

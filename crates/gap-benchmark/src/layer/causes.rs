@@ -73,24 +73,8 @@ pub(crate) const CAUSES: &[CauseInfo] = &[
         true,
     ),
     common::DRAGGING_TIP,
-    CauseInfo::new(
-        "softening",
-        "where it was loaded before the material answers less below the load that it knows",
-        "Ogden and Roxburgh 1999",
-        ("loss", "1", 0.7),
-        false,
-        true,
-    )
-    .cell(Cell::OtherLaw),
-    CauseInfo::new(
-        "inner-friction",
-        "loading reads less than unloading, whatever the speed",
-        "Bouc 1967, Wen 1976; amplitude in proportion to the load",
-        ("half-width", "1", 0.5),
-        false,
-        true,
-    )
-    .cell(Cell::OtherLaw),
+    common::SOFTENING,
+    common::INNER_FRICTION,
     CauseInfo::new(
         "creeping",
         "a reading that is held fades and leaves its negative behind, over a continuous spectrum of times",

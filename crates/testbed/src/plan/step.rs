@@ -163,7 +163,12 @@ impl Strokes {
     /// Strokes of the whole slide, both ways.
     #[must_use]
     pub fn all(&self) -> u64 {
-        u64::from(self.count).saturating_mul(if self.cycles == 0 { 1 } else { 2 * u64::from(self.cycles) })
+        u64::from(self.count).saturating_mul(self.ways())
+    }
+
+    /// Times that its length is gone, one way or the other.
+    pub(crate) fn ways(&self) -> u64 {
+        if self.cycles == 0 { 1 } else { 2 * u64::from(self.cycles) }
     }
 }
 

@@ -283,13 +283,24 @@ impl StepFile {
 
     /// Which postures: so many that are drawn, or a grid.
     fn postures(&self) -> Result<PostureSet, Wrong> {
-        match (self.count, self.counts) {
-            (Some(count), None) => Ok(PostureSet::Drawn(count)),
-            (None, Some(counts)) => Ok(PostureSet::Grid(counts)),
-            (Some(_), Some(_)) => Err(("counts", "stands beside `count`: name one of them".to_owned())),
+        self.one_of(
+            ("count", self.count.map(PostureSet::Drawn)),
+            ("counts", self.counts.map(PostureSet::Grid)),
+        )
+    }
+
+    /// What one of two keys says, of which a step of this kind has exactly one.
+    fn one_of<T>(
+        &self,
+        (first, one): (&'static str, Option<T>),
+        (second, other): (&'static str, Option<T>),
+    ) -> Result<T, Wrong> {
+        match (one, other) {
+            (Some(said), None) | (None, Some(said)) => Ok(said),
+            (Some(_), Some(_)) => Err((second, format!("stands beside `{first}`: name one of them"))),
             (None, None) => {
                 let kind = self.kind.name();
-                Err(("count", format!("is missing: a step of kind `{kind}` needs it, or `counts`")))
+                Err((first, format!("is missing: a step of kind `{kind}` needs it, or `{second}`")))
             }
         }
     }
@@ -314,31 +325,14 @@ impl StepFile {
 
     /// The range that levels are drawn from.
     fn range(&self) -> Result<Level<[f64; 2]>, Wrong> {
-        match (self.force, self.depth) {
-            (Some(force), None) => Ok(Level::Force(force)),
-            (None, Some(depth)) => Ok(Level::Depth(depth)),
-            (Some(_), Some(_)) => Err(("depth", "stands beside `force`: name one of them".to_owned())),
-            (None, None) => {
-                let kind = self.kind.name();
-                Err(("force", format!("is missing: a step of kind `{kind}` needs it, or `depth`")))
-            }
-        }
+        self.one_of(("force", self.force.map(Level::Force)), ("depth", self.depth.map(Level::Depth)))
     }
 
     /// The levels that are listed.
     fn levels(&mut self) -> Result<Levels, Wrong> {
-        let values = match (self.forces.take(), self.depths.take()) {
-            (Some(forces), None) => Level::Force(forces),
-            (None, Some(depths)) => Level::Depth(depths),
-            (Some(_), Some(_)) => {
-                return Err(("depths", "stands beside `forces`: name one of them".to_owned()));
-            }
-            (None, None) => {
-                let kind = self.kind.name();
-                let reason = format!("is missing: a step of kind `{kind}` needs it, or `depths`");
-                return Err(("forces", reason));
-            }
-        };
+        let (forces, depths) = (self.forces.take(), self.depths.take());
+        let values =
+            self.one_of(("forces", forces.map(Level::Force)), ("depths", depths.map(Level::Depth)))?;
         let (incremental, repeats) = (self.incremental.unwrap_or(false), self.repeats.unwrap_or(1));
         Ok(Levels { values, incremental, repeats })
     }

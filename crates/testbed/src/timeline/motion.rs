@@ -54,8 +54,7 @@ pub(super) struct Stroke {
 /// The strokes of a slide that takes `duration` \[s\] one way.
 pub(super) fn strokes_of(strokes: &Strokes, duration: f64, draw: &mut Draw<'_>) -> Vec<Stroke> {
     let count = f64::from(strokes.count);
-    let ways = if strokes.cycles == 0 { 1 } else { 2 * strokes.cycles };
-    let ends = (0..ways).flat_map(|way| (1..=strokes.count).map(move |end| (way % 2 == 1, end)));
+    let ends = (0..strokes.ways()).flat_map(|way| (1..=strokes.count).map(move |end| (way % 2 == 1, end)));
     ends.map(|(back, end)| {
         let to = f64::from(if back { strokes.count - end } else { end }) / count;
         // Nothing is drawn for a slide that does not stop, so that it stays what it was.
