@@ -150,7 +150,7 @@ fn joined(options: &Join) -> Result<()> {
         transfer: &options.transfer,
         reconstruction: &options.reconstruction,
         data: data.as_ref().map(|data| (data, options.measured.split())),
-        model: Some(crate::registry::forward(&options.skin, &skin)?),
+        model: data.is_some().then(|| crate::registry::forward(&options.skin, &skin)).transpose()?,
         out: &options.out,
         runtime,
     })?;

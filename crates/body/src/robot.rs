@@ -212,11 +212,18 @@ impl Robot {
         };
         let mut skins: Vec<SkinOnBody> = Vec::with_capacity(read.skins.len());
         let mut taken: HashMap<String, usize> = HashMap::new();
+        // A file that many skins are of is read once.
+        let mut rates: HashMap<PathBuf, f64> = HashMap::new();
         for (i, entry) in read.skins.into_iter().enumerate() {
             let mut skin = place(&body, entry, folder)
                 .map_err(|(key, reason)| wrong(&format!("skins[{i}].{key}"), reason))?;
             if let (None, Some(path)) = (skin.rate, &skin.skin) {
-                skin.rate = Some(SkinDescription::rate_of(path)?);
+                let rate = match rates.get(path) {
+                    Some(rate) => *rate,
+                    None => SkinDescription::rate_of(path)?,
+                };
+                rates.insert(path.clone(), rate);
+                skin.rate = Some(rate);
             }
             for (key, value) in
                 [("name", &skin.name), ("frame_id", &skin.frame_id), ("namespace", &skin.namespace)]

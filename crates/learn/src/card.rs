@@ -5,11 +5,29 @@ use std::collections::{BTreeMap, BTreeSet};
 use dermis_inference::{ForcePeakSection, Manifest, SigmaBin};
 use serde_json::{Value, json};
 
-use crate::LearnError;
 use crate::dataset::{Dataset, SampleId, Truth};
 use crate::evaluate::Evaluation;
 use crate::metrics::{Bin, FORCE_BINS, MapErrors, bin_of};
 use crate::target::{MAP_NORMAL, MapTarget};
+use crate::{LearnError, SplitConfig};
+
+/// What a card says of data that somebody else's model was measured on: all of them, or the part that `split` holds out.
+///
+/// # Errors
+///
+/// As [`of_data`].
+pub fn of_measured(
+    data: &Dataset,
+    split: Option<SplitConfig>,
+    evaluation: &Evaluation,
+) -> Result<BTreeMap<String, Value>, LearnError> {
+    let mut card = of_data(data)?;
+    card.insert("held_out".into(), evaluation.to_json());
+    if let Some(split) = split {
+        card.insert("split".into(), json!(split));
+    }
+    Ok(card)
+}
 
 /// Everything that is true of the data, whatever is learned from it.
 ///

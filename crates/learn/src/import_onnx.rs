@@ -1,6 +1,6 @@
 //! Models that were trained elsewhere: an ONNX graph becomes a bundle that a node loads.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use dermis_inference::onnx::{GraphTensor, Signature, listed, with_batch_of_one};
@@ -268,9 +268,7 @@ fn measure<'a>(
     if split.is_some() && found.is_fatal() {
         return Err(LearnError::Unfit(found));
     }
-    let held_out = split.map(|s| s.apply(data)).transpose()?.map(|s| s.test);
-    let only: Option<BTreeSet<SampleId>> = held_out.map(|ids| ids.into_iter().collect());
-    let name = split.map_or_else(|| "all labelled frames".to_owned(), |s| s.describe());
+    let (only, name) = SplitConfig::evaluated(split, data)?;
     // There is no forward model here: displacements are not compared.
     let maps = Maps::new(data.skin(), None, &[])?;
     let (evaluation, points) = evaluator.evaluate(data, only.as_ref(), maps, name)?;
@@ -299,11 +297,7 @@ fn write_bundle(
         card::measured(&mut manifest, evaluation);
         let ids: Vec<SampleId> = data.labelled().map(|(id, ..)| id).collect();
         manifest.force_range = card::force_range(data, &ids);
-        card = card::of_data(data)?;
-        card.insert("held_out".into(), evaluation.to_json());
-        if let Some(split) = split {
-            card.insert("split".into(), json!(split));
-        }
+        card = card::of_measured(data, *split, evaluation)?;
         report.data(data, split.as_ref())?;
         report.section(&format!("Measured on: {}", evaluation.data), evaluation, points)?;
     }

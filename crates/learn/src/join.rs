@@ -2,7 +2,6 @@
 //!
 //! How the two graphs become one: [`dermis_inference::join`]. What is measured here is the whole, on bags of the device.
 
-use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -12,7 +11,7 @@ use dermis_model::ForwardModel;
 use dermis_skin::SkinDescription;
 use serde_json::json;
 
-use crate::dataset::{Dataset, SampleId};
+use crate::dataset::Dataset;
 use crate::evaluate::Evaluation;
 use crate::evaluator::GraphEvaluator;
 use crate::target::Maps;
@@ -48,20 +47,14 @@ pub fn join_bundles(request: &JoinRequest<'_>) -> Result<Option<Evaluation>, Lea
     let limits = Limits::default();
     trial::check(request.runtime, &Candidate { graph: &graph, interface: &interface, ranges: &[] }, &limits)?;
     let model = Model::load(request.runtime, &graph, &interface)?;
-    writer.manifest.training.data_hash.clear();
-    let measured = match request.data {
-        Some((data, split)) => Some(measure(request, &writer.manifest, model, (data, split))?),
-        None => None,
-    };
-    if let (Some(evaluation), Some((data, split))) = (&measured, request.data) {
-        card::measured(&mut writer.manifest, evaluation);
+    let mut measured = None;
+    if let Some((data, split)) = request.data {
+        let evaluation = measure(request, &writer.manifest, model, (data, split))?;
+        card::measured(&mut writer.manifest, &evaluation);
         writer.manifest.training.data_hash = data.hash();
         writer.manifest.training.held_out.clone_from(&evaluation.data);
-        writer.card.extend(card::of_data(data)?);
-        writer.card.insert("held_out".into(), evaluation.to_json());
-        if let Some(split) = split {
-            writer.card.insert("split".into(), json!(split));
-        }
+        writer.card.extend(card::of_measured(data, split, &evaluation)?);
+        measured = Some(evaluation);
     }
     writer.card.insert("program".into(), json!(format!("dermis {}", env!("CARGO_PKG_VERSION"))));
     writer.write(request.out, &graph)?;
@@ -78,9 +71,7 @@ fn measure(
     let decoder = Outputs::new(manifest.output.clone())?;
     let taken = (&manifest.input, manifest.baseline);
     let mut evaluator = GraphEvaluator::new(request.out, (model, decoder), taken, request.skin)?;
-    let held_out = split.map(|split| split.apply(data)).transpose()?.map(|split| split.test);
-    let only: Option<BTreeSet<SampleId>> = held_out.map(|ids| ids.into_iter().collect());
-    let name = split.map_or_else(|| "all labelled frames".to_owned(), |split| split.describe());
+    let (only, name) = SplitConfig::evaluated(split, data)?;
     let maps = Maps::new(request.skin, request.model.clone(), &[])?;
     Ok(evaluator.evaluate(data, only.as_ref(), maps, name)?.0)
 }

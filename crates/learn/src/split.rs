@@ -1,5 +1,7 @@
 //! Which samples are held out.
 
+use std::collections::BTreeSet;
+
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
@@ -102,6 +104,19 @@ impl SplitConfig {
             }
             SplitKind::Time => format!("the last {} % of every run", self.fraction * 100.0),
         }
+    }
+
+    /// The frames that a model is evaluated on, and their name: the held-out part, or all labelled frames without a split.
+    ///
+    /// # Errors
+    ///
+    /// As [`apply`](Self::apply).
+    pub fn evaluated(
+        split: Option<Self>,
+        data: &Dataset,
+    ) -> Result<(Option<BTreeSet<SampleId>>, String), LearnError> {
+        let Some(split) = split else { return Ok((None, "all labelled frames".to_owned())) };
+        Ok((Some(split.apply(data)?.test.into_iter().collect()), split.describe()))
     }
 
     /// Splits the labelled samples.

@@ -61,7 +61,7 @@ pub struct Joined {
 ///
 /// [`JoinError`] names the bundle that does not fit, and why.
 pub fn join(transfer: &Bundle, reconstruction: &Bundle) -> Result<Joined, JoinError> {
-    let (first, signal) = transfer_of(transfer)?;
+    let (first, own, signal) = transfer_of(transfer)?;
     let (second, model) = reconstruction_of(reconstruction)?;
     let (from, to) = (&transfer.manifest, &reconstruction.manifest);
     if from.skin.hash != to.skin.hash {
@@ -75,7 +75,6 @@ pub fn join(transfer: &Bundle, reconstruction: &Bundle) -> Result<Joined, JoinEr
         );
         return Err(unfit(&reconstruction.path, problem));
     }
-    let Some(own) = &from.model else { return Err(without_graph(&transfer.path)) };
     let between = scaling(signal, &own.interface.output_shape, &to.input, &model.interface.input_shape)?;
     let graph = chain(&[("transfer", first), ("scaling", &between), ("reconstruction", second)])?;
 
@@ -93,6 +92,7 @@ pub fn join(transfer: &Bundle, reconstruction: &Bundle) -> Result<Joined, JoinEr
     (manifest.inversion, manifest.correction) = (None, None);
     manifest.metrics.clear();
     manifest.training.held_out.clear();
+    manifest.training.data_hash.clear();
     for value in &mut manifest.output.values {
         value.sigma = None;
         value.sigma_by_force.clear();
@@ -120,17 +120,21 @@ fn unfit(path: &Path, problem: impl Into<String>) -> JoinError {
     JoinError::Unfit { path: path.to_owned(), problem: problem.into() }
 }
 
-fn without_graph(path: &Path) -> JoinError {
-    unfit(path, "has no network to join; name a bundle that `dermis train` has written")
+/// Graph of a bundle, and what it takes and gives.
+fn network_of(bundle: &Bundle) -> Result<(&[u8], &ModelSection), JoinError> {
+    let network = bundle.graph.as_deref().zip(bundle.manifest.model.as_ref());
+    network.ok_or_else(|| {
+        unfit(&bundle.path, "has no network to join; name a bundle that `dermis train` has written")
+    })
 }
 
-/// Graph and signal of a transfer network.
-fn transfer_of(bundle: &Bundle) -> Result<(&[u8], &OutputSpec), JoinError> {
-    let graph = bundle.graph.as_deref().ok_or_else(|| without_graph(&bundle.path))?;
+/// Graph and signal of a transfer network, and what it takes and gives.
+fn transfer_of(bundle: &Bundle) -> Result<(&[u8], &ModelSection, &OutputSpec), JoinError> {
+    let (graph, model) = network_of(bundle)?;
     let channels = bundle.manifest.skin.channels.len();
     match &bundle.manifest.output.values[..] {
         [signal] if signal.name == SIGNAL && signal.count == channels && signal.link == Link::Linear => {
-            Ok((graph, signal))
+            Ok((graph, model, signal))
         }
         values => {
             let names: Vec<&str> = values.iter().map(|value| value.name.as_str()).collect();
@@ -146,9 +150,7 @@ fn transfer_of(bundle: &Bundle) -> Result<(&[u8], &OutputSpec), JoinError> {
 /// Graph of a network that takes the newest tared frame.
 fn reconstruction_of(bundle: &Bundle) -> Result<(&[u8], &ModelSection), JoinError> {
     let manifest = &bundle.manifest;
-    let (Some(graph), Some(model)) = (bundle.graph.as_deref(), &manifest.model) else {
-        return Err(without_graph(&bundle.path));
-    };
+    let (graph, model) = network_of(bundle)?;
     if manifest.baseline != Baseline::Tared {
         let problem = "takes readings with their zero, which a transfer network does not give; train it with `baseline = \"tared\"`";
         return Err(unfit(&bundle.path, problem));

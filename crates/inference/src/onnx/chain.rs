@@ -8,7 +8,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::check::{Fields, Signature, Value, listed, text, varint};
+use super::check::{Fields, Signature, Value, field_of, listed, rewritten, text, varint};
 
 /// Graphs that cannot stand one after the other.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -74,16 +74,16 @@ pub fn chain(parts: &[(&str, &[u8])]) -> Result<Vec<u8>, ChainError> {
     }
     ports(first.model, 11, &mut nodes, |name| name == input);
     ports(last.model, 12, &mut constants, |_| true);
-    let graph = [bytes(2, b"chain"), nodes, constants].concat();
+    let graph = [field_of(2, b"chain"), nodes, constants].concat();
     let mut model = vec![8];
     varint(ir_version, &mut model);
-    model.extend(bytes(2, b"dermis"));
-    model.extend(bytes(7, &graph));
+    model.extend(field_of(2, b"dermis"));
+    model.extend(field_of(7, &graph));
     for (domain, version) in versions {
-        let mut set = bytes(1, domain.as_bytes());
+        let mut set = field_of(1, domain.as_bytes());
         set.push(2 << 3);
         varint(version, &mut set);
-        model.extend(bytes(8, &set));
+        model.extend(field_of(8, &set));
     }
     Ok(model)
 }
@@ -140,8 +140,8 @@ impl<'a> Names<'a> {
         Self { part: part.name, input, before, kept: outputs.filter(|_| last).collect() }
     }
 
-    fn renamed_bytes(&self, name: &[u8]) -> Result<String, String> {
-        Ok(self.renamed(&text(name)?))
+    fn renamed_bytes(&self, name: &[u8]) -> Result<Vec<u8>, String> {
+        Ok(self.renamed(&text(name)?).into_bytes())
     }
 
     fn renamed(&self, name: &str) -> String {
@@ -159,12 +159,12 @@ impl<'a> Names<'a> {
     fn graph(&self, graph: &[u8], nodes: &mut Vec<u8>, constants: &mut Vec<u8>) -> Result<(), String> {
         for field in Fields(graph) {
             match field? {
-                (1, Value::Bytes(node)) => nodes.extend(bytes(1, &self.node(node)?)),
+                (1, Value::Bytes(node)) => nodes.extend(field_of(1, &self.node(node)?)),
                 (5, Value::Bytes(constant)) => {
                     let renamed = rewritten(constant, |number, name| {
                         (number == 8).then(|| self.renamed_bytes(name)).transpose()
                     });
-                    constants.extend(bytes(5, &renamed?));
+                    constants.extend(field_of(5, &renamed?));
                 }
                 (15, _) => return Err("it has sparse constants".into()),
                 // Names and shapes of what lies between are known without being listed.
@@ -187,30 +187,9 @@ impl<'a> Names<'a> {
         // Inputs, outputs, and the operator's own name.
         rewritten(node, |number, name| match number {
             1 | 2 => self.renamed_bytes(name).map(Some),
-            3 => Ok(Some(format!("{}/{}", self.part, text(name)?))),
+            3 => Ok(Some(format!("{}/{}", self.part, text(name)?).into_bytes())),
             _ => Ok(None),
         })
-    }
-}
-
-/// A message whose fields of text are replaced by what `with` says, where it says anything; all others stay as they are.
-fn rewritten(
-    message: &[u8],
-    with: impl Fn(u64, &[u8]) -> Result<Option<String>, String>,
-) -> Result<Vec<u8>, String> {
-    let mut fields = Fields(message);
-    let mut out = Vec::with_capacity(message.len() + 64);
-    loop {
-        let before = fields.0;
-        let Some(field) = fields.next() else { return Ok(out) };
-        let replaced = match field? {
-            (number, Value::Bytes(content)) => with(number, content)?.map(|text| (number, text)),
-            _ => None,
-        };
-        match replaced {
-            Some((number, text)) => out.extend(bytes(number, text.as_bytes())),
-            None => out.extend_from_slice(&before[..before.len() - fields.0.len()]),
-        }
     }
 }
 
@@ -228,18 +207,9 @@ fn ports(model: &[u8], number: u64, out: &mut Vec<u8>, wanted: impl Fn(&str) -> 
             _ => false,
         });
         if found == number && named {
-            out.extend(bytes(number, port));
+            out.extend(field_of(number, port));
         }
     }
-}
-
-/// A field that holds bytes.
-fn bytes(number: u64, content: &[u8]) -> Vec<u8> {
-    let mut out = Vec::with_capacity(content.len() + 8);
-    varint(number << 3 | 2, &mut out);
-    varint(content.len() as u64, &mut out);
-    out.extend_from_slice(content);
-    out
 }
 
 #[cfg(test)]
@@ -308,11 +278,11 @@ mod tests {
     #[test]
     fn a_loop_is_refused() {
         // An operator with an attribute that is a graph (field 6).
-        let within = bytes(1, &[bytes(4, b"If"), bytes(5, &bytes(6, b""))].concat());
+        let within = field_of(1, &[field_of(4, b"If"), field_of(5, &field_of(6, b""))].concat());
         let mut model = vec![8, 8];
         for field in Fields(&layer(2, 2, "output", 1.0)).flatten() {
             if let (7, Value::Bytes(graph)) = field {
-                model.extend(bytes(7, &[graph, &within].concat()));
+                model.extend(field_of(7, &[graph, &within].concat()));
             }
         }
         let text = chain(&[("a", &model)]).unwrap_err().to_string();

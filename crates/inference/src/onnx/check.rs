@@ -169,24 +169,45 @@ fn fixed(bytes: &[u8], path: &[&[u64]]) -> Result<Vec<u8>, String> {
         }
         return Ok(if known { bytes.to_vec() } else { vec![8, 1] });
     };
-    let mut fields = Fields(bytes);
-    let mut out = Vec::with_capacity(bytes.len() + 8);
     let mut first = true;
+    rewritten(bytes, |number, inner| {
+        // Of the dimensions only the first is the batch.
+        if !wanted.contains(&number) || !first && rest.is_empty() {
+            return Ok(None);
+        }
+        first = false;
+        fixed(inner, rest).map(Some)
+    })
+}
+
+/// A message whose fields of bytes are replaced by what `with` says, where it says anything; all others stay as they are.
+pub(super) fn rewritten(
+    message: &[u8],
+    mut with: impl FnMut(u64, &[u8]) -> Result<Option<Vec<u8>>, String>,
+) -> Result<Vec<u8>, String> {
+    let mut fields = Fields(message);
+    let mut out = Vec::with_capacity(message.len() + 64);
     loop {
         let before = fields.0;
         let Some(field) = fields.next() else { return Ok(out) };
-        match field? {
-            // Of the dimensions only the first is the batch.
-            (number, Value::Bytes(inner)) if wanted.contains(&number) && (first || !rest.is_empty()) => {
-                first = false;
-                let inner = fixed(inner, rest)?;
-                varint(number << 3 | 2, &mut out);
-                varint(inner.len() as u64, &mut out);
-                out.extend_from_slice(&inner);
-            }
-            _ => out.extend_from_slice(&before[..before.len() - fields.0.len()]),
+        let replaced = match field? {
+            (number, Value::Bytes(content)) => with(number, content)?.map(|new| field_of(number, &new)),
+            _ => None,
+        };
+        match replaced {
+            Some(new) => out.extend(new),
+            None => out.extend_from_slice(&before[..before.len() - fields.0.len()]),
         }
     }
+}
+
+/// A field that holds bytes.
+pub(super) fn field_of(number: u64, content: &[u8]) -> Vec<u8> {
+    let mut out = Vec::with_capacity(content.len() + 8);
+    varint(number << 3 | 2, &mut out);
+    varint(content.len() as u64, &mut out);
+    out.extend_from_slice(content);
+    out
 }
 
 pub(super) fn varint(mut value: u64, out: &mut Vec<u8>) {

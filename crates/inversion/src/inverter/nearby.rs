@@ -51,12 +51,12 @@ impl Inverter {
         let mut best = minimum;
         for _ in 0..PASSES {
             let before = best.chi2;
-            if self.worst(&careful, data, &best)?.is_none() {
-                break;
-            }
+            let Some(mut worst) = self.worst(&careful, data, &best)? else { break };
             let polished = careful.minimise(best.contacts.clone())?;
-            self.keep(&mut best, polished);
-            let Some(worst) = self.worst(&careful, data, &best)? else { break };
+            if self.keep(&mut best, polished) {
+                let Some(now) = self.worst(&careful, data, &best)? else { break };
+                worst = now;
+            }
             for start in self.beside(&careful, data, &best, worst)? {
                 let mut all = best.contacts.clone();
                 all[worst] = start;

@@ -16,8 +16,8 @@ const LEAST_UP: f64 = 0.5;
 /// A force map beside the true one.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MapExample {
-    /// True contacts: x and y \[m\] in the frame of the skin's link, and the pressing force \[N\], NaN where it is unknown.
-    pub contacts: Vec<[f64; 3]>,
+    /// \[N\] with which the true contacts press.
+    pub forces: Vec<f64>,
     /// \[m\] x and y of the surface's points, in the frame of the skin's link.
     pub points: Vec<(f64, f64)>,
     /// \[N\] true pressing force of each point.
@@ -64,10 +64,8 @@ impl Examples {
         if !self.by_number.get(&number).is_none_or(stronger) {
             return;
         }
-        let contact =
-            |c: &crate::TruthContact| [c.position.x, c.position.y, c.normal_force().unwrap_or(f64::NAN)];
         let example = MapExample {
-            contacts: truth.contacts.iter().map(contact).collect(),
+            forces: truth.contacts.iter().filter_map(crate::TruthContact::normal_force).collect(),
             points: self.points.clone(),
             truth: forces.to_vec(),
             answer: answer.to_vec(),
@@ -112,9 +110,9 @@ mod tests {
         push(3, &[9.0]);
         push(1, &[8.0]);
         let found = examples.finish();
-        assert_eq!(found.iter().map(|e| e.contacts.len()).collect::<Vec<_>>(), [1, 2]);
+        assert_eq!(found.iter().map(|e| e.forces.len()).collect::<Vec<_>>(), [1, 2]);
         assert_eq!((found[0].truth[3], found[0].answer[3]), (3.0, 0.9 * 3.0));
-        assert_eq!(found[0].contacts, [[0.001, -0.002, 3.0]]);
+        assert_eq!(found[0].forces, [3.0]);
         assert_eq!((found[1].truth[3], found[1].points.len()), (2.5, surface.points.len()));
     }
 

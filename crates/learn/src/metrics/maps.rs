@@ -230,6 +230,7 @@ impl MapScorer {
                 examples: map.is_force().then(|| Examples::of(self.maps.surface())),
             });
             collected.sums[part].push(map, &self.truth, &answer);
+            let pressing = map.is_force().then(|| self.maps.pressing(map, &answer));
             if truth.touched() {
                 let of_number = collected.by_number.entry(truth.contacts.len()).or_default();
                 of_number.push(&self.truth, &answer);
@@ -239,13 +240,12 @@ impl MapScorer {
                 if let Some(strongest) = &mut collected.strongest {
                     strongest.push(truth, &answer);
                 }
-                if let Some(examples) = &mut collected.examples {
-                    let forces = self.maps.pressing(map, &self.truth);
-                    examples.push(truth, &forces, &self.maps.pressing(map, &answer));
+                if let (Some(examples), Some(pressing)) = (&mut collected.examples, &pressing) {
+                    examples.push(truth, &self.maps.pressing(map, &self.truth), pressing);
                 }
             }
-            if let Some(contacts) = &mut collected.contacts {
-                contacts.push(truth, &self.maps.pressing(map, &answer));
+            if let (Some(contacts), Some(pressing)) = (&mut collected.contacts, &pressing) {
+                contacts.push(truth, pressing);
             }
         }
         Ok(())

@@ -1,6 +1,6 @@
 //! Pictures of maps: what a transfer network leaves of each channel, and force maps of single frames beside the true ones.
 
-use dermis_figures::{Axes, Curve, Pen, curves, figure, short, surface_within};
+use dermis_figures::{Axes, Curve, Pen, curves, escape, figure, short, surface_within};
 
 use super::SIZE;
 use crate::LearnError;
@@ -12,14 +12,15 @@ pub(super) fn of_maps(evaluation: &Evaluation) -> Result<String, LearnError> {
     let mut body = String::new();
     for (name, errors) in &evaluation.maps {
         if let Some(channels) = &errors.channels {
+            let unit = escape(&errors.unit);
             let caption = format!(
                 "What is left of each channel of <code>{name}</code>: mean and standard deviation of estimate − truth over {} touched frames. \
                  Standard deviation of the median channel: {} {}; of the worst: {} {}.",
                 errors.touched.frames,
                 short(quantile(&channels.deviation, 0.5)),
-                errors.unit,
+                unit,
                 short(quantile(&channels.deviation, 1.0)),
-                errors.unit
+                unit
             );
             body += &figure(&[residual(channels, &errors.unit)?], &caption);
         }
@@ -51,8 +52,7 @@ fn residual(channels: &ChannelErrors, unit: &str) -> Result<String, LearnError> 
 fn examples(name: &str, errors: &MapErrors) -> Result<String, LearnError> {
     let mut body = String::new();
     for example in &errors.examples {
-        let forces: Vec<String> =
-            example.contacts.iter().map(|[_, _, force]| format!("{force:.1} N")).collect();
+        let forces: Vec<String> = example.forces.iter().map(|force| format!("{force:.1} N")).collect();
         let caption = format!(
             "<code>{name}</code>, contacts with {}: the truth and the estimate, on one scale. The frame with the most force of the first press with \
              {} contact{}.",
@@ -98,12 +98,8 @@ mod tests {
             map[at] = force;
             map
         };
-        let example = MapExample {
-            contacts: vec![[0.02, 0.02, 5.0], [0.04, 0.04, 7.25]],
-            points,
-            truth: map(12, 5.0),
-            answer: map(13, 4.0),
-        };
+        let example =
+            MapExample { forces: vec![5.0, 7.25], points, truth: map(12, 5.0), answer: map(13, 4.0) };
         let normal = MapErrors { unit: "N".into(), examples: vec![example.clone()], ..MapErrors::default() };
         evaluation.maps.insert("map.normal".into(), normal);
         let html = of_maps(&evaluation).unwrap();

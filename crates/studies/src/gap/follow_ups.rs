@@ -41,6 +41,8 @@ pub(super) fn ask(
         .with_context(|| format!("{} cannot be made", case.folder.display()))?;
     let mut report = case.report.clone();
     let mut bags: Vec<PathBuf> = Vec::new();
+    let make = |skin: &SkinDescription| families.model(skin).map_err(|e| format!("{e:#}"));
+    let designs = Designs::new(&make);
     for time in 1..=times {
         let bag = case.folder.join(format!("bag-{time}"));
         let answer = case.folder.join(format!("report-{time}.json"));
@@ -57,9 +59,8 @@ pub(super) fn ask(
                 seed: time as u64,
             };
             let planned = next(&request, families, &ProgressBar::hidden(), &std::sync::Arc::default())?;
-            let make = |skin: &SkinDescription| families.model(skin).map_err(|e| format!("{e:#}"));
             let plan = planned.protocol.plan_text();
-            set::press(case.skin, case.truth, &Designs::new(&make), &plan, time as u64, &bag)?;
+            set::press(case.skin, case.truth, &designs, &plan, time as u64, &bag)?;
             let mut arguments = more.to_vec();
             for bag in bags.iter().chain([&bag]) {
                 arguments.extend(["--and".to_owned(), bag.display().to_string()]);
