@@ -33,7 +33,8 @@ pub struct Summary {
     pub p95: f64,
     /// At the worst point.
     pub max: f64,
-    /// Share of the skin, 0 to 1, where the bound is infinite: the channels do not tell it there, and the root mean square has no end.
+    /// Share of the skin, 0 to 1, where the bound is infinite: the channels do not determine it there, and the root mean square is
+    /// infinite.
     pub infinite: f64,
 }
 

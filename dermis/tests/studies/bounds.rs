@@ -85,13 +85,13 @@ row of 6 taxels, 32.500 mm: c(0) = 0.156 N/kPa, linear within 1 %; F_S from 0.01
   fitted isolines of two (5.18)         0.547    0.267    0.138    0.070    0.044    0.031    0.025
   exact corners of two (5.7-5.10)       0.493    0.175    0.103    0.060    0.040    0.029    0.022
   Cramér–Rao bound of all               0.436    0.125    0.073    0.042    0.028    0.020    0.016
-  fitted isolines of two (5.18): of 86.8, 100.0, 100.0, 100.0, 100.0, 100.0, 100.0 % of the line and the forces of each interval; elsewhere it has no answer, or no end
-  exact corners of two (5.7-5.10): of 83.8, 98.5, 98.5, 98.5, 98.5, 98.5, 98.5 % of the line and the forces of each interval; elsewhere it has no answer, or no end
+  fitted isolines of two (5.18): of 86.8, 100.0, 100.0, 100.0, 100.0, 100.0, 100.0 % of the line and the forces of each interval; elsewhere there is no estimate, or its error is infinite
+  exact corners of two (5.7-5.10): of 83.8, 98.5, 98.5, 98.5, 98.5, 98.5, 98.5 % of the line and the forces of each interval; elsewhere there is no estimate, or its error is infinite
   Ω (5.20), mean over force: 71 by fits, 72 by corners, 102 by the bound; with the testbed (5.21): 56, 58, 75
 "#);
     // What no channel tells somewhere is said with its share.
     findings.maps[0].position.infinite = 0.125;
-    let open = "at 0.2 N the channels do not tell the place on 12.5 % of the surface";
+    let open = "at 0.2 N the channels do not determine the position on 12.5 % of the surface";
     assert!(report::text(&findings).contains(open), "{}", report::text(&findings));
 }
 

@@ -121,11 +121,11 @@ fn bounds(out: &mut String, findings: &Findings) {
     out.push_str(&table(&rows, &[1, 5]));
     out.push_str("\npositions in mm, forces in N; `-`: the channels do not tell it\n");
     for map in &findings.maps {
-        for (what, infinite) in [("place", map.position.infinite), ("force", map.normal_force.infinite)] {
+        for (what, infinite) in [("position", map.position.infinite), ("force", map.normal_force.infinite)] {
             if infinite > 0.0 {
                 let _ = writeln!(
                     out,
-                    "at {} N the channels do not tell the {what} on {:.1} % of the surface: the bound is infinite there, and \
+                    "at {} N the channels do not determine the {what} on {:.1} % of the surface: the bound is infinite there, and \
                      so is its RMS",
                     map.force,
                     infinite * 100.0
@@ -203,7 +203,7 @@ fn row(out: &mut String, line: &LineStudy, unit: &str) {
         let shares: Vec<String> = shares.iter().map(percent).collect();
         let _ = writeln!(
             out,
-            "  {name}: of {} % of the line and the forces of each interval; elsewhere it has no answer, or no end",
+            "  {name}: of {} % of the line and the forces of each interval; elsewhere there is no estimate, or its error is infinite",
             shares.join(", ")
         );
     }

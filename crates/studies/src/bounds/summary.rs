@@ -9,30 +9,29 @@ use super::{Findings, INTERVALS};
 /// Root mean square of σ_P over the locations and the forces of an interval \[m\]: how it was computed, by whom.
 #[must_use]
 pub fn by_interval(line: &LineStudy, of: fn(&ByForce) -> Option<Averages>) -> Vec<Option<f64>> {
-    INTERVALS
-        .windows(2)
-        .map(|edges| {
-            let inside =
-                line.by_force.iter().filter(|f| edges[0] - 1e-9 <= f.force && f.force < edges[1] - 1e-9);
-            let squares: Vec<f64> = inside.filter_map(of).map(|a| a.position_rms.powi(2)).collect();
-            (!squares.is_empty()).then(|| (squares.iter().sum::<f64>() / squares.len() as f64).sqrt())
-        })
-        .collect()
+    in_each(line, |inside| {
+        let squares: Vec<f64> = inside.into_iter().filter_map(of).map(|a| a.position_rms.powi(2)).collect();
+        (!squares.is_empty()).then(|| (squares.iter().sum::<f64>() / squares.len() as f64).sqrt())
+    })
 }
 
 /// Share of the locations and the forces of an interval, 0 to 1, that [`by_interval`] is of: elsewhere there is no such estimate,
 /// or no end to its error. `None` where no force of the interval was studied.
 #[must_use]
 pub fn share_by_interval(line: &LineStudy, of: fn(&ByForce) -> Option<Averages>) -> Vec<Option<f64>> {
-    INTERVALS
-        .windows(2)
-        .map(|edges| {
-            let inside =
-                line.by_force.iter().filter(|f| edges[0] - 1e-9 <= f.force && f.force < edges[1] - 1e-9);
-            let shares: Vec<f64> = inside.map(|f| of(f).map_or(0.0, |a| a.share)).collect();
-            (!shares.is_empty()).then(|| shares.iter().sum::<f64>() / shares.len() as f64)
-        })
-        .collect()
+    in_each(line, |inside| {
+        let shares: Vec<f64> = inside.into_iter().map(|f| of(f).map_or(0.0, |a| a.share)).collect();
+        (!shares.is_empty()).then(|| shares.iter().sum::<f64>() / shares.len() as f64)
+    })
+}
+
+/// What `of` makes of the studied forces of each interval.
+fn in_each(line: &LineStudy, of: impl Fn(Vec<&ByForce>) -> Option<f64>) -> Vec<Option<f64>> {
+    let within = |edges: &[f64]| {
+        let inside = line.by_force.iter().filter(|f| edges[0] - 1e-9 <= f.force && f.force < edges[1] - 1e-9);
+        of(inside.collect())
+    };
+    INTERVALS.windows(2).map(within).collect()
 }
 
 /// Median over taxels.
