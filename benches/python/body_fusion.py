@@ -135,7 +135,7 @@ class BodyFusion:
         d = self._detections(reports, skins, stamps)
         begun = np.ones(len(d["id"]), bool)
         if len(begun) and len(rows["id"]):
-            taken, _ = self._associate(d)
+            taken = self._associate(d)
             begun[taken] = False
         if begun.any():
             self._begin({key: value[begun] for key, value in d.items()})
@@ -237,7 +237,7 @@ class BodyFusion:
         return [values[inside] for values in (i, t, bias, spread, inverted, cost)]
 
     def _associate(self, d):
-        """Takes readings for contacts, none of one skin for the same; which ones, and for which."""
+        """Takes readings for contacts, none of one skin for the same; which ones."""
         rows = self.rows
         i, t, bias, spread, inverted, cost = self._pairs(d)
         lone = (np.bincount(i, minlength=len(d["id"]))[i] == 1) & (np.bincount(t, minlength=len(rows["id"]))[t] == 1)
@@ -265,7 +265,7 @@ class BodyFusion:
         rows["bias"][t, slot], rows["force_bias"][t, slot], rows["biased"][t, slot] = bias, force_bias, True
         rows["hits"][t] += 1
         self._hear(t, d, i)
-        return i, t
+        return i
 
     def _hear(self, t, d, i):
         rows, slot = self.rows, d["slot"][i]
@@ -396,7 +396,7 @@ class BodyFusion:
             force = np.where(unknown, np.nan, force)
             spread = np.where(unknown[:, :, None] | unknown[:, None, :], np.nan, spread)
         out = {
-            "stamp": stamp, "id": at("id"), "link": robot.link[first], "skin": first, "feels": at("feels"),
+            "stamp": stamp, "id": at("id"), "link": robot.link[first], "feels": at("feels"),
             "group": at("group"), "called": at("called"), "seen": at("seen"), "born": at("born"), "position": position,
             "normal": normal, "force": force, "components": components.max(1, initial=0),
             "position_covariance": turn @ covariance[:, :3, :3] @ back, "force_covariance": spread,

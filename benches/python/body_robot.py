@@ -110,11 +110,11 @@ class Robot:
 
     def _add_skins(self, skins, index, kinds):
         self.skins = [skin["name"] for skin in skins]
-        self.frames = [skin.get("frame_id", skin["name"] + "_skin") for skin in skins]
+        frames = [skin.get("frame_id", skin["name"] + "_skin") for skin in skins]
         self.topics = [skin.get("namespace", "/" + skin["name"]) + "/contacts" for skin in skins]
         self.timeouts = np.array([skin.get("timeout", 0.2) for skin in skins])
         self.link, poses, tops, top_from_link = [], [], [], []
-        for skin, frame in zip(skins, self.frames):
+        for skin, frame in zip(skins, frames):
             mount = skin.get("mount", {"parent": frame, "translation": [0, 0, 0], "rpy": [0, 0, 0]})
             link, climbed = index[mount["parent"]], np.eye(4)
             self.link.append(link)

@@ -25,7 +25,7 @@ use crate::device::Device;
 use crate::fusion::write_robot;
 use crate::machine::{Process, cpu_time};
 use crate::node::{PATIENCE, Pace, SKIN, learned_only, number, percentile, skin_node};
-use crate::programs::{HIROZ, Programs, R2R, named};
+use crate::programs::{HIROZ, Programs, R2R, RCLPY, named};
 use crate::subscriber::{Arrival, Choice, domain_of, spawn, start_body};
 
 /// Skins of the robot, each on a link of its own.
@@ -68,10 +68,8 @@ enum Layout<'a> {
 /// Names of the rows where all nodes share a process: as the fusion is by default, and answering twice as often.
 const TOGETHER: &str = "one process";
 const TOGETHER_FAST: &str = "one process, 2 kHz";
-/// Name of the row with the fusion in rclpy and numpy.
-const RCLPY: &str = "dermis, r2r + rclpy";
 
-/// Runs it over each backend that this machine has, and once in one process, and prints the table.
+/// Runs it over each backend that this machine has, once with the fusion in rclpy, and twice in one process, and prints the table.
 ///
 /// # Errors
 ///

@@ -103,17 +103,28 @@ fn robot_text(skins: usize) -> (String, String) {
 
 /// Writes such a robot into a folder; its file.
 pub fn write_robot(folder: &Path, skins: usize) -> Result<PathBuf> {
-    let (urdf, text) = robot_text(skins);
+    let (urdf, robot) = robot_text(skins);
+    write_files(folder, &urdf, &robot)
+}
+
+/// Writes the texts of a URDF and a robot file into a folder; the path of the latter.
+fn write_files(folder: &Path, urdf: &str, robot: &str) -> Result<PathBuf> {
     std::fs::write(folder.join("r.urdf"), urdf)?;
     let file = folder.join("r.toml");
-    std::fs::write(&file, text)?;
+    std::fs::write(&file, robot)?;
     Ok(file)
 }
 
-fn fuser(skins: usize) -> Result<Fuser> {
+/// The fusion of a robot, from the texts of its files.
+fn fuser_of(urdf: &str, robot: &str) -> Result<Fuser> {
     let folder = tempfile::tempdir()?;
-    let robot = Robot::load(write_robot(folder.path(), skins)?)?;
-    let mut fuser = Fuser::new(robot, Settings::default(), HistoryLimits::default(), &[], &[])?;
+    let robot = Robot::load(write_files(folder.path(), urdf, robot)?)?;
+    Ok(Fuser::new(robot, Settings::default(), HistoryLimits::default(), &[], &[])?)
+}
+
+fn fuser(skins: usize) -> Result<Fuser> {
+    let (urdf, robot) = robot_text(skins);
+    let mut fuser = fuser_of(&urdf, &robot)?;
     fuser.assume_rest();
     Ok(fuser)
 }

@@ -62,9 +62,10 @@ enum Command {
     /// Pictures per second of the soft thumb's forward model with its noise, at both sizes; with recorded frames, how their statistics
     /// compare.
     Insight(insight::Options),
-    /// Eight skins at 1 kHz merged: time of an update, and how it grows with contacts; against the same filter in numpy.
+    /// Eight skins at 1 kHz merged: time of an update, and how it grows with contacts; against the same fusion in numpy and scipy.
     Fusion(fusion::Options),
-    /// Eight skins at 1 kHz and the fusion, each a process: from the last byte of a frame to the body's message at one more process.
+    /// Eight skins at 1 kHz and the fusion, each a process, and all in one; against a fusion in rclpy and numpy: from the last byte of a frame
+    /// to the body's message at one more process.
     Body(body::Options),
     /// A diagnosis of ten thousand contacts on a fabric of 784 channels: seconds after its signatures are kept, and memory.
     Gap(gap::Options),

@@ -24,6 +24,8 @@ pub struct Programs {
 /// Names of rows.
 pub const HIROZ: &str = "dermis, hiroz";
 pub const R2R: &str = "dermis, r2r";
+/// Ours over r2r, and a node in rclpy in place of one of ours.
+pub const RCLPY: &str = "dermis, r2r + rclpy";
 
 impl Programs {
     /// Ours over each backend that this machine has: name of the row, backend, folder of the programs.

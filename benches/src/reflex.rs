@@ -21,7 +21,7 @@ use serde_json::{Value, json};
 use crate::device::Device;
 use crate::machine::{Process, cpu_time};
 use crate::node::{PATIENCE, Pace, SKIN, learned_only, number, percentile, skin_node};
-use crate::programs::{HIROZ, Programs, R2R, named};
+use crate::programs::{HIROZ, Programs, R2R, RCLPY, named};
 use crate::subscriber::{Arrival, Choice, domain_of, spawn, start_stops};
 
 /// Frames without touch between two trials, at least.
@@ -30,8 +30,6 @@ const PAUSE: usize = 80;
 const LONGEST: usize = 500;
 /// \[N\] of the rule; the device presses with 0.8 N.
 const LIMIT: f64 = 0.3;
-/// Name of the row whose stop comes from rclpy.
-const RCLPY: &str = "dermis, r2r + rclpy";
 
 /// What to measure.
 #[derive(Debug, Args)]

@@ -54,7 +54,7 @@ pub fn read(path: &Path) -> Result<Value> {
 }
 
 /// Says of a record which command made it, at which commit, and, where it does not say so itself, on which machine.
-fn sign(record: &mut Value, command: &str, commit: &str) -> Result<()> {
+pub fn sign(record: &mut Value, command: &str, commit: &str) -> Result<()> {
     let Some(object) = record.as_object_mut() else {
         bail!("`{command}` measured no object, but {record}");
     };

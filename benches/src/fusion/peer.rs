@@ -1,8 +1,8 @@
 //! The same fusion in Python with numpy and scipy: what it is given, and whether it makes the same of it.
 
 use anyhow::{Context, Result};
-use dermis_body::{HistoryLimits, Robot};
-use dermis_fusion::{BodyState, BodyTouch, Fuser, Settings};
+use dermis_body::Robot;
+use dermis_fusion::{BodyState, BodyTouch};
 use dermis_msgs::builtin_interfaces::msg::Time;
 use dermis_msgs::geometry_msgs::msg::{Point, Vector3};
 use dermis_msgs::msg::{Contact, ContactArray};
@@ -12,7 +12,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
 
-use super::{BEGIN, CONTACTS, PERIOD, SKINS, report, robot_text};
+use super::{BEGIN, CONTACTS, PERIOD, SKINS, fuser_of, report, robot_text};
 
 /// \[1\] by which what the peer makes of a scene may differ from ours, as a share of each value and 10⁻³.
 pub const DEVIATION: f64 = 1e-6;
@@ -47,15 +47,6 @@ const ROBOT: &str = r#"
     mount = { parent = "hand", translation = [0.0, 0.0, 0.01], rpy = [0.2, 0.0, 0.0] }
 "#;
 const MS: i64 = 1_000_000;
-
-/// A robot and its fusion, from the texts of their files.
-fn fuser_of(urdf: &str, robot: &str) -> Result<Fuser> {
-    let folder = tempfile::tempdir()?;
-    std::fs::write(folder.path().join("r.urdf"), urdf)?;
-    let file = folder.path().join("r.toml");
-    std::fs::write(&file, robot)?;
-    Ok(Fuser::new(Robot::load(file)?, Settings::default(), HistoryLimits::default(), &[], &[])?)
-}
 
 /// A report as the peer reads it: covariances are those of its first contact.
 fn as_json(skin: usize, report: &ContactArray) -> Value {

@@ -27,7 +27,7 @@ mod variance;
 use self::networks::{MAPS, THESIS, configuration, structure};
 use super::{collected, evaluation, fingerprint, read_toml, scratch};
 use crate::programs;
-use crate::record::{commit, write};
+use crate::record::{commit, sign, write};
 use crate::run::run as execute;
 
 const SKIN: &str = "launch/skins/ert-panel.toml";
@@ -135,7 +135,8 @@ pub(super) fn tables(root: &Path, sizes: &Sizes) -> Result<Value> {
             TableName::Maps => ("table_4_5", work.maps()?),
             TableName::Pipeline => ("pipeline", work.pipeline()?),
         };
-        let mut of = json!({ "commit": commit(root)?, "command": work.command(*table), "reduced": reduced(root, sizes)?, "rows": rows });
+        let mut of = json!({ "reduced": reduced(root, sizes)?, "rows": rows });
+        sign(&mut of, &work.command(*table), &commit(root)?)?;
         if *table == TableName::Pipeline {
             of["variance"] = pipeline::variances(&of["rows"]);
             of["pages"] = json!(work.dir.strip_prefix(root).unwrap_or(&work.dir));

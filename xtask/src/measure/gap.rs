@@ -249,13 +249,11 @@ mod tests {
     #[test]
     fn a_coarser_copy_is_one_of_what_ships() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
-        let dir = std::env::temp_dir().join(format!("dermis-coarse-{}", std::process::id()));
-        std::fs::create_dir_all(&dir).unwrap();
+        let dir = tempfile::tempdir().unwrap();
         for gap in GAPS {
-            let text = std::fs::read_to_string(gap.file(&root, &dir).unwrap()).unwrap();
+            let text = std::fs::read_to_string(gap.file(&root, dir.path()).unwrap()).unwrap();
             assert!(gap.coarser.iter().all(|(fine, coarse)| !text.contains(fine) && text.contains(coarse)));
         }
-        std::fs::remove_dir_all(&dir).unwrap();
     }
 
     #[test]

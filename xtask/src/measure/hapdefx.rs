@@ -10,7 +10,7 @@ use serde_json::{Map, Value, json};
 use super::limb::{LIMB_EFFECTS, limb_bag};
 use super::{LIMB, evaluation};
 use crate::programs;
-use crate::record::{commit, write};
+use crate::record::{commit, sign, write};
 
 /// How much is measured.
 #[derive(Args)]
@@ -69,15 +69,13 @@ pub(super) fn run(root: &Path, options: &Options) -> Result<Value> {
     }
     measure.arg("--states").arg(&states).arg("--train").arg(&train).arg(&doubles);
     let found = evaluation(measure.current_dir(root))?;
-    let mut record = recorded(&found, &sensors)?;
-    record.insert("commit".into(), json!(commit(root)?));
+    let mut record = Value::Object(recorded(&found, &sensors)?);
     let flag = match (options.reduced, sensors.as_str()) {
         (true, _) => " --reduced".to_owned(),
         (false, "") => String::new(),
         (false, sensors) => format!(" --sensors {sensors}"),
     };
-    record.insert("command".into(), json!(format!("cargo xtask measure hapdefx{flag}")));
-    let record = Value::Object(record);
+    sign(&mut record, &format!("cargo xtask measure hapdefx{flag}"), &commit(root)?)?;
     keep(&root.join(RECORD), &record)?;
     Ok(record)
 }
