@@ -149,7 +149,7 @@ fn a_sheet_without_causes_changes_nothing_and_noise_ends_in_counts() {
 #[test]
 fn a_panel_without_a_model_is_refused_with_what_is_missing() {
     let refused = FabricDevice::new(&skin(), &Numerics::default(), &[], &Designs::default()).unwrap_err();
-    assert!(refused.to_string().contains("no family was given"), "{refused}");
+    assert!(refused.to_string().contains("no forward model was given"), "{refused}");
 }
 
 #[test]
