@@ -13,8 +13,9 @@ use crate::sheet::{Design, Electrode, Grid};
 const ELECTRODES: usize = 64;
 /// Cells along an axis.
 const CELLS: [usize; 2] = [4, 200];
-/// \[m\] off the lower sheet that an electrode may be written down.
-const OFF_SHEET: f64 = 1e-3;
+/// Share of the lower sheet's depth that an electrode may be written off it: layers are not as thick as they were designed, and their
+/// electrodes stay on the lower sheet.
+const OFF_SHEET: f64 = 0.5;
 
 /// `medium` of a skin description.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
@@ -325,7 +326,7 @@ fn electrodes(
         let at = panel.unroll(&taxel.point());
         let (outside, normal) = panel.roll(at);
         let off = (taxel.point() - (outside - normal * depth)).norm();
-        if off > OFF_SHEET || !panel.holds(at) {
+        if off > OFF_SHEET * depth || !panel.holds(at) {
             let reason = format!(
                 "lies {off:.4} m off the lower sheet, which is {depth:.4} m below the outside and {:.3} x {:.3} m",
                 panel.size[0], panel.size[1]

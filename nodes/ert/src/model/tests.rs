@@ -194,6 +194,23 @@ fn skins_that_cannot_be_are_refused_by_field() {
     }
 }
 
+/// Electrodes stay on the lower sheet, wherever a file that was written for other layers has them.
+#[test]
+fn layers_may_be_thicker_than_they_were_designed() {
+    let mut skin = small(SMALL);
+    for (layer, factor) in [("foam", 1.3), ("top", 1.8)] {
+        let thickness = skin.medium.get_mut(layer).and_then(|table| table.get_mut("thickness")).unwrap();
+        *thickness = toml::Value::Float(thickness.as_float().unwrap() * factor);
+    }
+    let thicker = FabricModel::new(&skin).unwrap();
+    let press = pressed(vec![contact(&FLAT, [0.01, 0.02], 10.0, true)]);
+    assert_ne!(read(&thicker, &press), read(&FLAT, &press));
+    // One on the outside is a mistake.
+    skin.taxels[4].position[2] = 0.0;
+    let refused = FabricModel::new(&skin).unwrap_err().to_string();
+    assert!(refused.contains("`taxels[4].position`"), "{refused}");
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(16))]
 
