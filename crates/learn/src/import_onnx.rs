@@ -1,6 +1,6 @@
 //! Models that were trained elsewhere: an ONNX graph becomes a bundle that a node loads.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use dermis_inference::onnx::{GraphTensor, Signature, listed, with_batch_of_one};
@@ -268,7 +268,8 @@ fn measure<'a>(
     if split.is_some() && found.is_fatal() {
         return Err(LearnError::Unfit(found));
     }
-    let (only, name) = SplitConfig::evaluated(split, data)?;
+    let (held_out, name) = SplitConfig::evaluated(split, data)?;
+    let only: Option<BTreeSet<SampleId>> = held_out.map(|ids| ids.into_iter().collect());
     // There is no forward model here: displacements are not compared.
     let maps = Maps::new(data.skin(), None, &[])?;
     let (evaluation, points) = evaluator.evaluate(data, only.as_ref(), maps, name)?;

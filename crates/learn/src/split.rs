@@ -1,7 +1,5 @@
 //! Which samples are held out.
 
-use std::collections::BTreeSet;
-
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
@@ -114,9 +112,9 @@ impl SplitConfig {
     pub fn evaluated(
         split: Option<Self>,
         data: &Dataset,
-    ) -> Result<(Option<BTreeSet<SampleId>>, String), LearnError> {
+    ) -> Result<(Option<Vec<SampleId>>, String), LearnError> {
         let Some(split) = split else { return Ok((None, "all labelled frames".to_owned())) };
-        Ok((Some(split.apply(data)?.test.into_iter().collect()), split.describe()))
+        Ok((Some(split.apply(data)?.test), split.describe()))
     }
 
     /// Splits the labelled samples.

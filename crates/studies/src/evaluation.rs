@@ -169,9 +169,8 @@ pub fn evaluate(options: &Request, families: &Families, progress: &dyn Progress)
         (false, Some(kind)) => Some(SplitConfig { kind, ..SplitConfig::default() }),
         (false, None) => None,
     };
-    let targets = split.map(|s| s.apply(&data)).transpose()?.map(|s| s.test);
+    let (targets, name) = SplitConfig::evaluated(split, &data)?;
     let kept = options.in_range.then(|| in_range(&data, targets.as_deref()));
-    let name = split.map_or_else(|| "all labelled frames".to_owned(), |s| s.describe());
     let model = families.model(&skin).ok();
     // Maps that nobody can know here are not compared.
     let maps = Maps::new(&skin, model.clone(), &[])?;
