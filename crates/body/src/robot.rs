@@ -20,6 +20,7 @@
 //! A skin whose frame is a link of the URDF itself has no `mount`. Of the file `skin`, reading a robot takes `rate` only, and not
 //! even that where it stands here.
 
+use std::collections::hash_map::Entry;
 use std::collections::{BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 
@@ -218,12 +219,10 @@ impl Robot {
             let mut skin = place(&body, entry, folder)
                 .map_err(|(key, reason)| wrong(&format!("skins[{i}].{key}"), reason))?;
             if let (None, Some(path)) = (skin.rate, &skin.skin) {
-                let rate = match rates.get(path) {
-                    Some(rate) => *rate,
-                    None => SkinDescription::rate_of(path)?,
-                };
-                rates.insert(path.clone(), rate);
-                skin.rate = Some(rate);
+                skin.rate = Some(match rates.entry(path.clone()) {
+                    Entry::Occupied(known) => *known.get(),
+                    Entry::Vacant(unknown) => *unknown.insert(SkinDescription::rate_of(path)?),
+                });
             }
             for (key, value) in
                 [("name", &skin.name), ("frame_id", &skin.frame_id), ("namespace", &skin.namespace)]
