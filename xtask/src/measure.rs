@@ -205,10 +205,15 @@ fn read_toml(path: &Path) -> Result<toml::Table> {
     text.parse().with_context(|| format!("{} is not TOML", path.display()))
 }
 
-/// What a command with `--json` prints in its last line.
+/// What a command with `--json` prints: one value over several lines, or one in its last line.
 fn evaluation(command: &mut Command) -> Result<Value> {
-    let text = output(command)?;
-    serde_json::from_str(text.trim().lines().last().unwrap_or_default())
+    printed(&output(command)?)
+}
+
+fn printed(text: &str) -> Result<Value> {
+    let text = text.trim();
+    serde_json::from_str(text)
+        .or_else(|_| serde_json::from_str(text.lines().last().unwrap_or_default()))
         .context("a command with --json printed no JSON")
 }
 
@@ -449,4 +454,16 @@ fn explained(value: &Value, outline: &str) -> Value {
     shares.sort_by(f64::total_cmp);
     let median = shares.get(shares.len() / 2);
     json!({ "frames": shares.len(), "least": shares.first(), "median": median, "most": shares.last() })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_printed_is_read_in_one_line_and_in_many() {
+        assert_eq!(printed("{\n  \"a\": [\n    1\n  ]\n}\n").unwrap(), json!({ "a": [1] }));
+        assert_eq!(printed("3 frames\n{\"a\":1}\n").unwrap(), json!({ "a": 1 }));
+        assert!(printed("3 frames\n").is_err());
+    }
 }
