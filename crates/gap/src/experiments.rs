@@ -317,6 +317,7 @@ fn all_frames(recording: &Recording) -> Samples {
         diameter: f64::NAN,
         contacts: 0,
         paired: false,
+        zero: None,
     });
     Samples {
         list: samples.collect(),

@@ -1,4 +1,9 @@
-//! How much of a residual is noise: of the sensor, and of a press that is done again.
+//! How much of a residual is noise: of the sensor, of the zero that readings are counted from, and of a press that is done again.
+//!
+//! A zero is the mean of some untouched frames. Its error is the same in every frame that counts from it, so that it looks like a
+//! systematic gap; but another recording of the same device has another one, and no model takes it away. With independent noise of
+//! variance σ² a mean of n frames has the variance σ²/n. Noise that lasts from frame to frame makes it larger; what that is too much is
+//! still counted as gap.
 
 use std::collections::BTreeMap;
 
@@ -57,6 +62,9 @@ pub struct Gap {
     pub systematic: f64,
     /// 95 % interval of `systematic`, over locations.
     pub interval: [f64; 2],
+    /// Noise of the zero that readings are counted from; part of `floor`.
+    #[serde(default)]
+    pub zero: f64,
     /// What differs between presses that were done alike; part of `floor`. `None` without such presses.
     pub irreproducible: Option<f64>,
     /// Pairs of presses that were done alike.
@@ -67,6 +75,11 @@ pub struct Gap {
 }
 
 impl Gap {
+    /// Noise of single frames: the floor without what their zeros add and without what does not repeat.
+    pub(crate) fn frame_noise(&self) -> f64 {
+        self.floor - self.zero - self.irreproducible.unwrap_or(0.0)
+    }
+
     /// With a part of the systematic gap counted to the floor.
     pub(crate) fn counts_as_noise(&mut self, part: f64) {
         self.floor += part;
@@ -82,21 +95,33 @@ struct Sums {
     samples: f64,
     twins: f64,
     pairs: f64,
+    zeros: f64,
+}
+
+/// Energies of a reading.
+struct Energies {
+    residual: f64,
+    /// Of the noise of single frames.
+    frame: f64,
+    /// Of the noise of their zeros.
+    zero: f64,
 }
 
 impl Sums {
-    /// Energy of a reading over some groups, and that of its noise; `usable` is the number of channels that count.
-    fn total(groups: impl Iterator<Item = Self>, usable: f64) -> (f64, f64) {
+    /// Over some groups; `usable` is the number of channels that count.
+    fn total(groups: impl Iterator<Item = Self>, usable: f64) -> Energies {
         let mut t = Self::default();
         for s in groups {
             t.energy += s.energy;
             t.samples += s.samples;
             t.twins += s.twins;
             t.pairs += s.pairs;
+            t.zeros += s.zeros;
         }
         // Without twins the noise is what it was measured to be between frames: 1.
-        let noise = if t.pairs >= PAIRS { t.twins / t.pairs / usable } else { 1.0 };
-        (t.energy / t.samples.max(1.0) / usable, noise)
+        let frame = if t.pairs >= PAIRS { t.twins / t.pairs / usable } else { 1.0 };
+        let samples = t.samples.max(1.0);
+        Energies { residual: t.energy / samples / usable, frame, zero: frame * t.zeros / samples }
     }
 }
 
@@ -126,6 +151,7 @@ impl Residual<'_> {
             let s = &mut sums[r.group];
             s.energy += self.row(i).iter().map(|x| f64::from(*x).powi(2)).sum::<f64>();
             s.samples += 1.0;
+            s.zeros += r.zero_variance();
             if r.paired && i + 1 < list.len() {
                 s.twins += self.apart(i, i + 1, 1.0);
                 s.pairs += 1.0;
@@ -134,9 +160,9 @@ impl Residual<'_> {
         sums
     }
 
-    /// Energy of what differs between presses that were done alike, over all pairs of them, and the number of pairs. Alike are same place,
-    /// same force, same tip and same phase; a group holds locations whole, whichever run they are of.
-    fn between_repeats(&self) -> (f64, usize) {
+    /// What differs between presses that were done alike. Alike are same place, same force, same tip and same phase; a group holds
+    /// locations whole, whichever run they are of.
+    fn between_repeats(&self) -> Repeats {
         let list = &self.samples.list;
         let mut locations: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
         for (i, r) in list.iter().enumerate() {
@@ -144,7 +170,7 @@ impl Residual<'_> {
                 locations.entry(r.group).or_default().push(i);
             }
         }
-        let (mut again, mut repeats) = (0.0, 0usize);
+        let mut found = Repeats::default();
         for frames in locations.values() {
             for (a, &i) in frames.iter().enumerate() {
                 for &j in &frames[a + 1..] {
@@ -152,13 +178,35 @@ impl Residual<'_> {
                     if alike(p, q) {
                         // A difference in force is no noise: what it makes is taken out to first order.
                         let ratio = (p.force / q.force.max(1e-9)) as f32;
-                        again += self.apart(i, j, ratio);
-                        repeats += 1;
+                        found.energy += self.apart(i, j, ratio);
+                        found.pairs += 1;
+                        // What both count from takes itself away.
+                        if p.zero != q.zero {
+                            found.zeros += f64::midpoint(p.zero_variance(), q.zero_variance());
+                        }
                     }
                 }
             }
         }
-        (again, repeats)
+        found
+    }
+}
+
+/// Sums over pairs of presses that were done alike.
+#[derive(Debug, Clone, Copy, Default)]
+struct Repeats {
+    energy: f64,
+    pairs: usize,
+    /// Variances of zeros that are not the same, in variances of a frame's noise.
+    zeros: f64,
+}
+
+impl Repeats {
+    /// Energy of a reading that neither noise of single frames (`frame`) nor of zeros makes; `None` with too few pairs.
+    fn irreproducible(self, frame: f64, usable: f64) -> Option<f64> {
+        let pairs = self.pairs as f64;
+        (self.pairs >= REPEATS)
+            .then(|| (self.energy / pairs / usable - frame * (1.0 + self.zeros / pairs)).max(0.0))
     }
 }
 
@@ -199,28 +247,99 @@ pub fn measure(
     let (n, scale) = (samples.list.len(), usable.max(1) as f64);
     let residual = Residual { values: residual, channels, samples };
     let sums = residual.by_group();
-    let (again, repeats) = residual.between_repeats();
+    let repeats = residual.between_repeats();
     let variance = about_means(readings, n, channels) / (n.max(1) as f64 * scale);
-    let (before, twins) = Sums::total(sums.iter().copied(), scale);
-    let again = (repeats >= REPEATS).then(|| (again / repeats as f64 / scale - twins).max(0.0));
-    let floor = twins + again.unwrap_or(0.0);
+    let whole = Sums::total(sums.iter().copied(), scale);
+    let again = repeats.irreproducible(whole.frame, scale);
+    let floor = whole.frame + whole.zero + again.unwrap_or(0.0);
     let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x9a9);
     let mut drawn: Vec<f64> = (0..DRAWS)
         .map(|_| {
             let picks = (0..sums.len()).map(|_| sums[rng.random_range(0..sums.len())]);
-            let (before, twins) = Sums::total(picks, scale);
-            (before - twins - again.unwrap_or(0.0)) / variance
+            let of = Sums::total(picks, scale);
+            (of.residual - of.frame - of.zero - again.unwrap_or(0.0)) / variance
         })
         .collect();
     drawn.sort_by(f64::total_cmp);
     let at = |share: f64| drawn.get((share * drawn.len() as f64) as usize).copied().unwrap_or(f64::NAN);
     Gap {
-        fvu_before: before / variance,
+        fvu_before: whole.residual / variance,
         floor: floor / variance,
-        systematic: (before - floor) / variance,
+        systematic: (whole.residual - floor) / variance,
         interval: INTERVAL.map(at),
+        zero: whole.zero / variance,
         irreproducible: again.map(|a| a / variance),
-        repeats,
+        repeats: repeats.pairs,
         variance,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand_distr::StandardNormal;
+
+    use super::*;
+    use crate::recording::ZeroMean;
+
+    const CHANNELS: usize = 600;
+    /// Untouched frames that a zero is the mean of.
+    const FRAMES: u32 = 20;
+
+    /// Noise of 40 places, each pressed twice with four frames, counted from a mean of [`FRAMES`] frames: one for all, or another for
+    /// each press.
+    fn recorded(each_press: bool, known: bool) -> Gap {
+        let mut rng = ChaCha8Rng::seed_from_u64(7);
+        let mut noise =
+            |of: f64| (0..CHANNELS).map(|_| of * rng.sample::<f64, _>(StandardNormal)).collect::<Vec<f64>>();
+        let of_zero = 1.0 / f64::from(FRAMES).sqrt();
+        let mut samples = Samples { groups: 40, test: vec![false; 40], presses: 80, ..Samples::default() };
+        let (mut residual, mut readings) = (Vec::new(), Vec::new());
+        let mut zero = noise(of_zero);
+        for i in 0..320 {
+            let (press, step) = (i / 4, i % 4);
+            if each_press && step == 0 {
+                zero = noise(of_zero);
+            }
+            let index = if each_press { press as u32 } else { 0 };
+            samples.list.push(Sample {
+                frame: i,
+                group: press / 2,
+                press,
+                location: (0, (press / 2) as u32),
+                session: 0,
+                phase: Phase::Hold,
+                force: 1.0,
+                since: 0.1 * step as f64,
+                time: i as f64,
+                before: 1.0,
+                speed: 0.0,
+                temperature: f64::NAN,
+                position: [1e-3 * (press / 2) as f64, 0.0, 0.0],
+                diameter: 8e-3,
+                contacts: 1,
+                paired: step == 0,
+                zero: known.then_some(ZeroMean { index, frames: FRAMES }),
+            });
+            let signal = noise(3.0);
+            let all = noise(1.0).into_iter().zip(&zero).map(|(frame, zero)| (frame - zero) as f32);
+            let all: Vec<f32> = all.collect();
+            readings.extend(all.iter().zip(&signal).map(|(a, s)| a + *s as f32));
+            residual.extend(all);
+        }
+        measure(&residual, &readings, &samples, CHANNELS, CHANNELS, 1)
+    }
+
+    #[test]
+    fn noise_of_a_zero_is_no_gap() {
+        for each_press in [false, true] {
+            let gap = recorded(each_press, true);
+            assert!(gap.interval[0] < 0.0 && gap.interval[1] > 0.0, "{each_press}: {gap:?}");
+            approx::assert_relative_eq!(gap.zero, gap.frame_noise() / f64::from(FRAMES), max_relative = 1e-9);
+            assert!(gap.irreproducible.unwrap() < 0.3 * gap.zero, "{each_press}: {gap:?}");
+        }
+        // Who does not know of it takes it for a gap where it is one for all, and for presses that do not repeat where it is not.
+        let gap = recorded(false, false);
+        assert!(gap.interval[0] > 0.0, "{gap:?}");
+        assert!(recorded(true, false).irreproducible.unwrap() > 0.5 * recorded(true, true).zero);
     }
 }

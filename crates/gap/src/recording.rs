@@ -51,6 +51,23 @@ pub enum Zero {
     Press,
 }
 
+/// What the zero of a frame was measured from: a mean that has noise of its own, the same in every frame that counts from it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ZeroMean {
+    /// Counts the zeros of a recording: frames with the same number count from the same mean.
+    pub index: u32,
+    /// Untouched frames that it is the mean of; 0 where there were none, and nothing was subtracted.
+    pub frames: u32,
+}
+
+impl ZeroMean {
+    /// Variance of the mean, in variances of a frame's noise; noise of different frames is taken to be independent.
+    #[must_use]
+    pub fn variance(self) -> f64 {
+        if self.frames == 0 { 0.0 } else { 1.0 / f64::from(self.frames) }
+    }
+}
+
 /// Something about a recording that a person should know.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Problem {
@@ -91,6 +108,8 @@ pub struct Recording {
     pub problems: Vec<Problem>,
     /// What its readings are counted from; [`tare`](Self::tare) sets it.
     pub zero: Zero,
+    /// What the zero of each frame was measured from; empty where readings are as they were recorded.
+    pub zeros: Vec<ZeroMean>,
 }
 
 impl Recording {
@@ -111,6 +130,12 @@ impl Recording {
     #[must_use]
     pub fn session_of(&self, frame: usize) -> u32 {
         self.session.get(frame).or(self.labels.get(frame).map(|m| &m.run)).copied().unwrap_or(0)
+    }
+
+    /// What a frame's zero was measured from; `None` where readings are as they were recorded.
+    #[must_use]
+    pub fn zero_of(&self, frame: usize) -> Option<ZeroMean> {
+        self.zeros.get(frame).copied()
     }
 
     /// For each frame the first run and place of that run at which the same was pressed: a place keeps its identity over the runs of
@@ -202,9 +227,10 @@ impl Recording {
     pub fn tare(&mut self, zero: Zero) {
         if zero != Zero::AsRead {
             self.zero = zero;
+            self.zeros.clear();
         }
         let n = self.channels;
-        let mut begin = 0;
+        let (mut begin, mut index) = (0, 0);
         while begin < self.labels.len() {
             let run = self.labels[begin].run;
             let end = begin + self.labels[begin..].iter().take_while(|m| m.run == run).count();
@@ -233,12 +259,16 @@ impl Recording {
             }
             // All zeros first: those of a press are within what the zero of the press before it changes.
             let levels: Vec<Vec<f32>> = blocks.iter().map(|(_, frames)| self.levels(frames)).collect();
-            for (at, ((from, _), level)) in blocks.iter().zip(&levels).enumerate() {
+            for (at, ((from, frames), level)) in blocks.iter().zip(&levels).enumerate() {
                 let to = blocks.get(at + 1).map_or(end, |b| b.0);
+                self.zeros.resize(to, ZeroMean { index, frames: frames.len() as u32 });
+                index += 1;
                 for row in self.readings[from * n..to * n].chunks_exact_mut(n.max(1)) {
                     row.iter_mut().zip(level).for_each(|(r, l)| *r -= l);
                 }
             }
+            // A run without a press has no zero of its own.
+            self.zeros.resize(end, ZeroMean { index, frames: 0 });
             begin = end;
         }
     }
@@ -328,7 +358,7 @@ mod tests {
     use super::*;
 
     /// Rests at 10 and drifts by 1 from press to press; each press adds 5.
-    fn drifting(zero: Zero) -> Vec<f32> {
+    fn drifting_recording() -> Recording {
         let mut recording = Recording::new("drifting", 1);
         for i in 0..400_u32 {
             let (press, within) = (u64::from(i / 200) + 1, i % 200);
@@ -345,6 +375,11 @@ mod tests {
             let value = 9.0 + press as f32 + if touched { 5.0 } else { 0.0 };
             recording.push(label, &[value]);
         }
+        recording
+    }
+
+    fn drifting(zero: Zero) -> Vec<f32> {
+        let mut recording = drifting_recording();
         recording.tare(zero);
         [10, 160, 190, 360].map(|i| recording.readings[i]).to_vec()
     }
@@ -416,6 +451,24 @@ mod tests {
         press(1, 2, 0.0051);
         press(2, 1, 0.0010001);
         assert_eq!(recording.locations(), [(0, 1), (0, 2), (0, 3), (0, 2), (1, 2), (0, 1)]);
+    }
+
+    #[test]
+    fn frames_know_what_their_zero_was_measured_from() {
+        let mut recording = drifting_recording();
+        assert_eq!(recording.zero_of(10), None);
+        recording.tare(Zero::Start);
+        assert_eq!(recording.zero_of(399), Some(ZeroMean { index: 0, frames: 101 }));
+        // Half a second before the second press is from the first one's end on.
+        let mut recording = drifting_recording();
+        recording.tare(Zero::Press);
+        let of = |frame| recording.zero_of(frame).map(|zero| (zero.index, zero.frames));
+        assert_eq!(
+            [of(0), of(349), of(350), of(399)],
+            [Some((0, 50)), Some((0, 50)), Some((1, 50)), Some((1, 50))]
+        );
+        assert_eq!(recording.zero_of(0).unwrap().variance(), 1.0 / 50.0);
+        assert_eq!(ZeroMean { index: 0, frames: 0 }.variance(), 0.0);
     }
 
     #[test]

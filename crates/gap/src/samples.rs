@@ -11,7 +11,7 @@ use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
 use crate::constants::sampling::{AFTER, GROUPS, READINGS, TEST};
-use crate::recording::Recording;
+use crate::recording::{Recording, ZeroMean};
 
 /// One frame that is compared.
 #[derive(Debug, Clone, PartialEq)]
@@ -48,6 +48,16 @@ pub struct Sample {
     pub contacts: usize,
     /// Whether the row after this one is the next frame of the same hold.
     pub paired: bool,
+    /// What its zero was measured from; `None` where readings are as they were recorded.
+    pub zero: Option<ZeroMean>,
+}
+
+impl Sample {
+    /// Variance that its zero adds to a reading, in variances of a frame's noise.
+    #[must_use]
+    pub fn zero_variance(&self) -> f64 {
+        self.zero.map_or(0.0, ZeroMean::variance)
+    }
 }
 
 /// The frames that are compared.
@@ -294,6 +304,7 @@ fn sample(recording: &Recording, facts: &[Facts], drawn: Drawn, group: usize) ->
         diameter: first.map_or(f64::NAN, dermis_model::Indentation::diameter),
         contacts: label.stimulus.as_ref().map_or(0, |s| s.contacts.len()),
         paired,
+        zero: recording.zero_of(frame),
     }
 }
 

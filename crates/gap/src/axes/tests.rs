@@ -26,6 +26,7 @@ fn samples() -> Samples {
             diameter: 8e-3,
             contacts: 1,
             paired: false,
+            zero: None,
         });
     }
     samples

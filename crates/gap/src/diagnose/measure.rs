@@ -60,9 +60,8 @@ pub(super) fn gap(
     let whitened = residual(&readings, &nominal, &sigma);
     let mut gap = measure(&whitened, &scaled, samples, &sigma, seed);
     // A reading lies anywhere within its step, and frame after frame at the same place of it.
-    let stepped = (rounding(step, !beside.is_empty(), &nominal, &sigma) / gap.variance - gap.floor
-        + gap.irreproducible.unwrap_or(0.0))
-    .max(0.0);
+    let stepped =
+        (rounding(step, !beside.is_empty(), &nominal, &sigma) / gap.variance - gap.frame_noise()).max(0.0);
     gap.counts_as_noise(stepped);
     credit(&mut known, gap.fvu_before - stepped);
     let fixed = known.iter().flat_map(|k| k.effects.iter().cloned()).collect();
@@ -124,7 +123,7 @@ pub(super) fn interference(
     // Frames that follow each other differ by more than interference itself where it changes its sign between them, and by less where
     // it hardly moves.
     let turn = (std::f64::consts::TAU * line.frequency / skin.rate).cos();
-    let twins = gap.floor - gap.irreproducible.unwrap_or(0.0);
+    let twins = gap.frame_noise();
     let noise = twins / (1.0 - turn * line.share);
     let size = line.share * noise;
     if size.is_nan() || size <= options.margin {
@@ -231,6 +230,7 @@ mod tests {
             floor: 0.01,
             systematic,
             interval,
+            zero: 0.0,
             irreproducible: again,
             repeats: 20,
             variance: 1.0,

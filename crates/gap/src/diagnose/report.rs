@@ -452,6 +452,7 @@ mod tests {
             floor: 0.01,
             systematic,
             interval: [least, 2.0 * systematic],
+            zero: 0.0,
             irreproducible: None,
             repeats: 0,
             variance: 1.0,

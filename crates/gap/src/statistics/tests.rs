@@ -20,6 +20,7 @@ pub(crate) fn samples(groups: &[usize]) -> Samples {
         diameter: 0.004,
         contacts: 1,
         paired: false,
+        zero: None,
     };
     let number = groups.iter().max().map_or(0, |g| g + 1);
     Samples {

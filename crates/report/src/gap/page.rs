@@ -56,6 +56,11 @@ fn size(body: &mut String, report: &Report, gap: &Gap) -> Result<()> {
     }
     rows.push(share("noise floor", gap.floor));
     let _ = writeln!(body, "<h2>How large it is</h2>");
+    let zero = if gap.zero > 0.0 {
+        format!(" Of the noise, {} is that of the zero that readings are counted from.", percent(gap.zero))
+    } else {
+        String::new()
+    };
     let again = gap.irreproducible.map_or(String::new(), |share| {
         format!(
             " Presses that were done alike ({} pairs) differ by {}, which no model removes.",
@@ -66,7 +71,7 @@ fn size(body: &mut String, report: &Report, gap: &Gap) -> Result<()> {
     body.push_str(&figure(
         &[bars("", &rows, None)?],
         &format!(
-            "Unexplained share of the readings' variance, with intervals over locations. Systematic is {} ({} to {}).{again}",
+            "Unexplained share of the readings' variance, with intervals over locations. Systematic is {} ({} to {}).{zero}{again}",
             percent(gap.systematic),
             percent(gap.interval[0]),
             percent(gap.interval[1])

@@ -58,6 +58,13 @@ fn size(out: &mut String, gap: &Gap) {
         percent(gap.interval[0]),
         percent(gap.interval[1])
     );
+    if gap.zero > 0.0 {
+        let _ = writeln!(
+            out,
+            "  of the noise, {} is that of the zero that readings are counted from",
+            percent(gap.zero)
+        );
+    }
     if let Some(share) = gap.irreproducible {
         let _ =
             writeln!(out, "  of the noise, {} differs between presses that were done alike", percent(share));
