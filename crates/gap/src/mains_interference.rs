@@ -12,6 +12,8 @@ use crate::recording::Recording;
 pub struct Interference {
     /// \[Hz\] as the frames show it; what is above half of their rate comes back below it.
     pub frequency: f64,
+    /// \[Hz\] of the frames, which need not be the skin's: recorders leave frames out.
+    pub rate: f64,
     /// Share of the energy of untouched frames, about their mean and trend, that is in the line.
     pub share: f64,
     /// Half of the 95 % interval of it, over stretches of frames.
@@ -22,7 +24,8 @@ pub struct Interference {
 
 /// Finds the strongest line in the spectrum of untouched frames that follow each other.
 #[must_use]
-pub fn find(recording: &Recording, rate: f64) -> Option<Interference> {
+pub fn find(recording: &Recording) -> Option<Interference> {
+    let rate = recording.rate()?;
     let half = STRETCH / 2;
     let mut power = vec![0.0f64; half + 1];
     let mut spectra: Vec<Vec<f64>> = Vec::new();
@@ -64,6 +67,7 @@ pub fn find(recording: &Recording, rate: f64) -> Option<Interference> {
     let between = if peak < half { between([power[peak - 1], power[peak], power[peak + 1]]) } else { 0.0 };
     Some(Interference {
         frequency: (peak as f64 + between) * rate / STRETCH as f64,
+        rate,
         share,
         half: spread,
         amplitude,
@@ -179,10 +183,11 @@ mod tests {
                 let jitter = f64::from(noise >> 8) / f64::from(1u32 << 24) - 0.5;
                 recording.push(label, &[(4.0 * (TAU * frequency * t).sin() + jitter) as f32]);
             }
-            let interference = find(&recording, 80.0).unwrap();
+            let interference = find(&recording).unwrap();
             approx::assert_abs_diff_eq!(interference.frequency, shows, epsilon = 0.1);
             approx::assert_relative_eq!(interference.amplitude, 4.0, max_relative = 0.05);
-            assert_eq!(mains(interference.frequency, 80.0), of);
+            approx::assert_relative_eq!(interference.rate, 80.0, max_relative = 1e-9);
+            assert_eq!(mains(interference.frequency, interference.rate), of);
         }
     }
 }

@@ -182,6 +182,16 @@ impl Recording {
         &self.readings[index * self.channels..(index + 1) * self.channels]
     }
 
+    /// \[Hz\] frames a second: of the middle one of all times between frames of a run. `None` where no frame follows another.
+    #[must_use]
+    pub fn rate(&self) -> Option<f64> {
+        let follow = self.labels.windows(2).filter(|pair| pair[0].run == pair[1].run);
+        let mut steps: Vec<f64> =
+            follow.map(|pair| pair[1].time - pair[0].time).filter(|s| *s > 0.0).collect();
+        let middle = steps.len() / 2;
+        (!steps.is_empty()).then(|| 1.0 / *steps.select_nth_unstable_by(middle, f64::total_cmp).1)
+    }
+
     /// Number of presses in which something touched.
     #[must_use]
     pub fn contacts(&self) -> usize {
@@ -451,6 +461,17 @@ mod tests {
         press(1, 2, 0.0051);
         press(2, 1, 0.0010001);
         assert_eq!(recording.locations(), [(0, 1), (0, 2), (0, 3), (0, 2), (1, 2), (0, 1)]);
+    }
+
+    #[test]
+    fn a_rate_is_that_of_the_frames_whatever_is_lost_of_them() {
+        let mut recording = drifting_recording();
+        for frame in [300, 120, 40, 39] {
+            recording.labels.remove(frame);
+        }
+        approx::assert_relative_eq!(recording.rate().unwrap(), 100.0, max_relative = 1e-9);
+        recording.labels.truncate(1);
+        assert_eq!(recording.rate(), None);
     }
 
     #[test]

@@ -119,10 +119,10 @@ pub(super) fn interference(
     gap: &mut Gap,
     options: &SelectOptions,
 ) -> Option<FoundInterference> {
-    let line = mains_interference::find(recording, skin.rate)?;
+    let line = mains_interference::find(recording)?;
     // Frames that follow each other differ by more than interference itself where it changes its sign between them, and by less where
     // it hardly moves.
-    let turn = (std::f64::consts::TAU * line.frequency / skin.rate).cos();
+    let turn = (std::f64::consts::TAU * line.frequency / line.rate).cos();
     let twins = gap.frame_noise();
     let noise = twins / (1.0 - turn * line.share);
     let size = line.share * noise;

@@ -138,7 +138,7 @@ pub fn diagnose(
     let irreproducible = measure::irreproducible(&measured.gap, &options.select);
     let interference = measure::interference(recording, simulator.skin, &mut measured.gap, &options.select);
     if let Some(found) = &interference {
-        report::interference(&mut report, found, &measured.gap, simulator.skin);
+        report::interference(&mut report, found, &measured.gap);
     }
     report.gap = Some(measured.gap.clone());
     let scope = measure::scope(&measured.gap, &options.select, irreproducible);

@@ -141,12 +141,7 @@ pub(super) fn locate(
 }
 
 /// Interference as an axis and a warning.
-pub(super) fn interference(
-    report: &mut Report,
-    found: &FoundInterference,
-    gap: &Gap,
-    skin: &SkinDescription,
-) {
+pub(super) fn interference(report: &mut Report, found: &FoundInterference, gap: &Gap) {
     let FoundInterference { line, size, .. } = found;
     let share = |of: f64| {
         let size = of.clamp(0.0, 1.0) / line.share * size;
@@ -160,7 +155,7 @@ pub(super) fn interference(
         alike: Vec::new(),
     });
     report.axes.sort_by(|a, b| b.share.total_cmp(&a.share));
-    let mains = mains_interference::mains(line.frequency, skin.rate);
+    let mains = mains_interference::mains(line.frequency, line.rate);
     report.warnings.push(format!(
         "{} % of the energy of untouched frames is interference at {} Hz{}: {} % of what the readings do, which counts as noise below; \
          look at mains, motors and their shielding",
