@@ -70,7 +70,7 @@ const GAPS: [Gap; 5] = [
         sets: Sets::Full(["50502", "50512"]),
     },
     Gap { name: "shin", skin: LIMB, coarser: &[], sets: Sets::Full(["50503", "50513"]) },
-    Gap { name: "panel", skin: "launch/skins/ert-panel.toml", coarser: &[], sets: Sets::Cells("50504", 0.5) },
+    Gap { name: "panel", skin: "launch/skins/ert-panel.toml", coarser: &[], sets: Sets::Cells("50524", 0.5) },
     Gap {
         name: "thumb",
         skin: "launch/skins/insight-thumb.toml",
@@ -242,7 +242,7 @@ mod tests {
             let gap = GAPS.iter().find(|gap| gap.name == name).unwrap();
             gap.sets.orders(&options).into_iter().map(|(_, order)| order.join(" ")).collect::<Vec<_>>()
         };
-        assert_eq!(orders("panel"), ["--seed 50504 --cells 3 --size 0.5"]);
+        assert_eq!(orders("panel"), ["--seed 50524 --cells 3 --size 0.5"]);
         assert_eq!(orders("line"), ["--seed 50521 --share 0.5", "--seed 50531 --kind controls --count 50"]);
     }
 
