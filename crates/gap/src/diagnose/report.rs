@@ -248,7 +248,8 @@ pub(super) fn finish(
     let options = &data.options.select;
     report.suspects = suspects(&data.signatures.candidates, &explained.selection, options.floor);
     let counts = (sure, effects.len());
-    report.verdict = verdict(&report.unknown, counts, &explained.selection, &gap, options.margin);
+    let measures = (&gap, scope.irreproducible);
+    report.verdict = verdict(&report.unknown, counts, &explained.selection, measures, options.margin);
     if effects.len() > sure && remainder.share < NAMED {
         report.residual_reduction = None;
         report.held_out = None;
@@ -337,12 +338,13 @@ fn explainable(view: &View<'_>, gap: &Gap, seed: u64) -> f64 {
     if systematic > LEFT * all { (share * all / systematic).clamp(0.0, 1.0) } else { 0.0 }
 }
 
-/// `sure` effects are named by what else shows them than residuals, out of `all`.
+/// `sure` effects are named by what else shows them than residuals, out of `all`. A gap that is `irreproducible` is there, however little
+/// of it is systematic.
 fn verdict(
     unknown: &Unknown,
     (sure, all): (usize, usize),
     selection: &Selection,
-    gap: &Gap,
+    (gap, irreproducible): (&Gap, bool),
     margin: f64,
 ) -> Verdict {
     if all > 0 {
@@ -356,12 +358,13 @@ fn verdict(
             Verdict::Unmeasured
         };
     }
+    let small = gap.interval[0] <= CLEARLY * margin && gap.systematic < SURELY * margin;
     if gap.systematic < UNSYSTEMATIC * gap.fvu_before {
-        // The gap is there, and another press of the same kind has another one.
-        Verdict::Unmeasured
+        // Either another press of the same kind has another gap, or there may be nothing but noise.
+        if small && !irreproducible { Verdict::Undecided } else { Verdict::Unmeasured }
     } else if selection.discrepancy >= DISCREPANCY * gap.systematic {
         Verdict::ModelDiscrepancy
-    } else if gap.interval[0] <= CLEARLY * margin && gap.systematic < SURELY * margin {
+    } else if small {
         Verdict::Undecided
     } else if unknown.explainable >= EXPLAINABLE {
         Verdict::UnknownSystematic
@@ -464,7 +467,8 @@ mod tests {
         };
         let said = |unknown: Unknown, counts, discrepancy: f64, gap: Gap| {
             let selection = Selection { discrepancy, ..Selection::default() };
-            verdict(&unknown, counts, &selection, &gap, 0.005)
+            let irreproducible = gap.irreproducible.is_some();
+            verdict(&unknown, counts, &selection, (&gap, irreproducible), 0.005)
         };
         assert_eq!(said(unknown(0.2, 0.0), (0, 1), 0.0, gap(0.08, 0.07)), Verdict::Named);
         assert_eq!(said(unknown(0.5, 0.0), (0, 1), 0.0, gap(0.08, 0.07)), Verdict::NamedAndUnknown);
@@ -472,6 +476,11 @@ mod tests {
         assert_eq!(said(unknown(0.9, 0.5), (1, 1), 0.0, gap(0.08, 0.07)), Verdict::NamedAndUnknown);
         assert_eq!(said(unknown(1.0, 0.5), (0, 0), 0.0, gap(0.01, 0.009)), Verdict::Unmeasured);
         assert_eq!(said(unknown(1.0, 0.5), (0, 0), 0.05, gap(0.08, 0.07)), Verdict::ModelDiscrepancy);
+        // As large as noise can make it, of readings that are mostly noise.
+        let may_be_noise = Gap { irreproducible: None, ..gap(0.002, -0.001) };
+        assert_eq!(said(unknown(1.0, 0.5), (0, 0), 0.0, may_be_noise.clone()), Verdict::Undecided);
+        let differs = Gap { irreproducible: Some(0.05), ..may_be_noise };
+        assert_eq!(said(unknown(1.0, 0.5), (0, 0), 0.0, differs), Verdict::Unmeasured);
         let mut small = gap(0.006, 0.004);
         small.fvu_before = 0.02;
         assert_eq!(said(unknown(1.0, 0.5), (0, 0), 0.0, small), Verdict::Undecided);
