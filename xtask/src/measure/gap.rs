@@ -173,10 +173,11 @@ const RECORDINGS: [(&str, &str); 2] = [
     ("held-out", r#"kind = "grid", pitch = 0.0021, forces = [0.1, 0.2, 0.4], repeats = 1"#),
 ];
 /// What reports call the errors that tables show.
-const ERRORS: [(&str, &str); 3] = [
+const ERRORS: [(&str, &str); 4] = [
     ("position_rms_m", "root mean square error of the position [m]"),
     ("position_median_m", "median error of the position [m]"),
     ("force_rms_n", "root mean square error of the pressing force [N]"),
+    ("missed", "share of missed contacts [1]"),
 ];
 
 /// Diagnoses a device, and trains on the nominal and on the corrected simulation.
@@ -272,7 +273,7 @@ mod tests {
         let error = |metric: &str, before: f64| json!({ "metric": format!("estimator on a held-out real recording: {metric}"), "before": before, "after": 0.1 });
         let mut report = json!({
             "sentence": "s", "verdict": "named",
-            "downstream": [error(ERRORS[1].1, 2.0), error(ERRORS[0].1, 1.0), error(ERRORS[2].1, 3.0)],
+            "downstream": [error(ERRORS[1].1, 2.0), error(ERRORS[0].1, 1.0), error(ERRORS[2].1, 3.0), error(ERRORS[3].1, 0.2)],
         });
         let found = gained(&report).unwrap();
         assert_eq!(found["position_rms_m"], json!({ "before": 1.0, "after": 0.1 }));
