@@ -181,7 +181,7 @@ impl Residual<'_> {
                         found.energy += self.apart(i, j, ratio);
                         found.pairs += 1;
                         // What both count from takes itself away.
-                        if p.zero != q.zero {
+                        if p.zero.map(|z| z.index) != q.zero.map(|z| z.index) {
                             found.zeros += f64::midpoint(p.zero_variance(), q.zero_variance());
                         }
                     }
@@ -318,7 +318,13 @@ mod tests {
                 diameter: 8e-3,
                 contacts: 1,
                 paired: step == 0,
-                zero: known.then_some(ZeroMean { index, frames: FRAMES }),
+                zero: known.then_some(ZeroMean {
+                    index,
+                    frames: FRAMES,
+                    time: 0.0,
+                    temperature: f64::NAN,
+                    presses: 0,
+                }),
             });
             let signal = noise(3.0);
             let all = noise(1.0).into_iter().zip(&zero).map(|(frame, zero)| (frame - zero) as f32);

@@ -52,12 +52,18 @@ pub enum Zero {
 }
 
 /// What the zero of a frame was measured from: a mean that has noise of its own, the same in every frame that counts from it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ZeroMean {
     /// Counts the zeros of a recording: frames with the same number count from the same mean.
     pub index: u32,
     /// Untouched frames that it is the mean of; 0 where there were none, and nothing was subtracted.
     pub frames: u32,
+    /// \[s\] since its run began, of the middle one of these frames.
+    pub time: f64,
+    /// \[K\] of the skin in it, NaN where unknown.
+    pub temperature: f64,
+    /// Presses of the run that had begun before.
+    pub presses: u32,
 }
 
 impl ZeroMean {
@@ -65,6 +71,30 @@ impl ZeroMean {
     #[must_use]
     pub fn variance(self) -> f64 {
         if self.frames == 0 { 0.0 } else { 1.0 / f64::from(self.frames) }
+    }
+}
+
+/// The zeros of a recording.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Zeros {
+    /// Which zero each frame counts from.
+    of_frame: Vec<u32>,
+    means: Vec<ZeroMean>,
+    /// Untouched frames that each is the mean of.
+    frames: Vec<Vec<usize>>,
+}
+
+impl Zeros {
+    /// Which zero a frame counts from.
+    #[must_use]
+    pub fn of(&self, frame: usize) -> Option<u32> {
+        self.of_frame.get(frame).copied()
+    }
+
+    /// Untouched frames that a zero is the mean of.
+    #[must_use]
+    pub fn frames(&self, zero: u32) -> &[usize] {
+        self.frames.get(zero as usize).map_or(&[], Vec::as_slice)
     }
 }
 
@@ -108,8 +138,8 @@ pub struct Recording {
     pub problems: Vec<Problem>,
     /// What its readings are counted from; [`tare`](Self::tare) sets it.
     pub zero: Zero,
-    /// What the zero of each frame was measured from; empty where readings are as they were recorded.
-    pub zeros: Vec<ZeroMean>,
+    /// What readings count from; empty where they are as they were recorded.
+    pub zeros: Zeros,
 }
 
 impl Recording {
@@ -135,7 +165,8 @@ impl Recording {
     /// What a frame's zero was measured from; `None` where readings are as they were recorded.
     #[must_use]
     pub fn zero_of(&self, frame: usize) -> Option<ZeroMean> {
-        self.zeros.get(frame).copied()
+        let index = *self.zeros.of_frame.get(frame)?;
+        self.zeros.means.get(index as usize).copied()
     }
 
     /// For each frame the first run and place of that run at which the same was pressed: a place keeps its identity over the runs of
@@ -237,10 +268,10 @@ impl Recording {
     pub fn tare(&mut self, zero: Zero) {
         if zero != Zero::AsRead {
             self.zero = zero;
-            self.zeros.clear();
+            self.zeros = Zeros::default();
         }
         let n = self.channels;
-        let (mut begin, mut index) = (0, 0);
+        let mut begin = 0;
         while begin < self.labels.len() {
             let run = self.labels[begin].run;
             let end = begin + self.labels[begin..].iter().take_while(|m| m.run == run).count();
@@ -271,16 +302,32 @@ impl Recording {
             let levels: Vec<Vec<f32>> = blocks.iter().map(|(_, frames)| self.levels(frames)).collect();
             for (at, ((from, frames), level)) in blocks.iter().zip(&levels).enumerate() {
                 let to = blocks.get(at + 1).map_or(end, |b| b.0);
-                self.zeros.resize(to, ZeroMean { index, frames: frames.len() as u32 });
-                index += 1;
+                self.count_from(to, frames.clone(), at as u32);
                 for row in self.readings[from * n..to * n].chunks_exact_mut(n.max(1)) {
                     row.iter_mut().zip(level).for_each(|(r, l)| *r -= l);
                 }
             }
             // A run without a press has no zero of its own.
-            self.zeros.resize(end, ZeroMean { index, frames: 0 });
+            if self.zeros.of_frame.len() < end {
+                self.count_from(end, Vec::new(), 0);
+            }
             begin = end;
         }
+    }
+
+    /// Says that the frames before `to` that have no zero count from the mean of these, before which so many presses of the run began.
+    fn count_from(&mut self, to: usize, frames: Vec<usize>, presses: u32) {
+        let index = self.zeros.means.len() as u32;
+        let middle = frames.get(frames.len() / 2).map(|i| &self.labels[*i]);
+        self.zeros.of_frame.resize(to, index);
+        self.zeros.means.push(ZeroMean {
+            index,
+            frames: frames.len() as u32,
+            time: middle.map_or(f64::NAN, |m| m.time),
+            temperature: middle.map_or(f64::NAN, |m| m.temperature),
+            presses,
+        });
+        self.zeros.frames.push(frames);
     }
 
     /// Mean of each channel over some frames; 0 where none has a number.
@@ -479,17 +526,20 @@ mod tests {
         let mut recording = drifting_recording();
         assert_eq!(recording.zero_of(10), None);
         recording.tare(Zero::Start);
-        assert_eq!(recording.zero_of(399), Some(ZeroMean { index: 0, frames: 101 }));
+        let zero = recording.zero_of(399).unwrap();
+        assert_eq!((zero.index, zero.frames, zero.presses), (0, 101, 0));
+        approx::assert_abs_diff_eq!(zero.time, 0.5, epsilon = 1e-9);
         // Half a second before the second press is from the first one's end on.
         let mut recording = drifting_recording();
         recording.tare(Zero::Press);
         let of = |frame| recording.zero_of(frame).map(|zero| (zero.index, zero.frames));
+        assert_eq!([0, 399].map(|frame| recording.zero_of(frame).unwrap().presses), [0, 1]);
         assert_eq!(
             [of(0), of(349), of(350), of(399)],
             [Some((0, 50)), Some((0, 50)), Some((1, 50)), Some((1, 50))]
         );
         assert_eq!(recording.zero_of(0).unwrap().variance(), 1.0 / 50.0);
-        assert_eq!(ZeroMean { index: 0, frames: 0 }.variance(), 0.0);
+        assert_eq!(ZeroMean { frames: 0, ..recording.zero_of(0).unwrap() }.variance(), 0.0);
     }
 
     #[test]

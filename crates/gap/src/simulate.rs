@@ -1,5 +1,6 @@
 //! What the nominal model, and variations of it, would have read in a recording.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -167,17 +168,22 @@ impl Simulator<'_> {
                 ),
             });
         }
-        let untouched = subtracts.then(|| self.unshifted(skin, &model)).transpose()?;
         let ranges: Vec<Option<[f64; 2]>> = skin.channels().iter().map(|c| c.range).collect();
         let mut out = Vec::with_capacity(frames.len() * channels);
         let mut read = vec![0.0; channels];
         let whole = model.remembers() || self.remembers(skin);
+        let tare = || self.tare((skin, &model), recording, frames, whole);
+        let mut tare = subtracts.then(tare).transpose()?;
         let mut state = model.start(0);
         let mut run = None;
         let mut wanted = frames.iter().copied().peekable();
-        let last = frames.last().map_or(0, |l| l + 1);
-        let all: Box<dyn Iterator<Item = usize>> =
-            if whole { Box::new(0..last) } else { Box::new(frames.iter().copied()) };
+        let resting = tare.iter().flat_map(|tare| tare.part_of.keys());
+        let mut all: Vec<usize> = frames.iter().chain(resting).copied().collect();
+        all.sort_unstable();
+        all.dedup();
+        if whole {
+            all = (0..all.last().map_or(0, |last| last + 1)).collect();
+        }
         for frame in all {
             let label = &recording.labels[frame];
             if run != Some(label.run) {
@@ -194,6 +200,9 @@ impl Simulator<'_> {
                 what: format!("{}, frame {frame}", recording.name),
                 source,
             })?;
+            if let Some(tare) = &mut tare {
+                tare.add(frame, &read);
+            }
             if wanted.peek() != Some(&frame) {
                 continue;
             }
@@ -202,12 +211,34 @@ impl Simulator<'_> {
             for (channel, value) in read.iter().enumerate() {
                 let value = *value as f32;
                 let range = ranges.get(channel).copied().flatten().filter(|_| limited);
-                let value = range.map_or(value, |[low, high]| value.clamp(low as f32, high as f32));
-                let zero = untouched.as_ref().map(|u| u.readings()[channel]);
-                out.push(zero.map_or(value, |zero| (f64::from(value) - zero) as f32));
+                out.push(range.map_or(value, |[low, high]| value.clamp(low as f32, high as f32)));
             }
         }
+        if let Some(tare) = &tare {
+            tare.subtract(recording, frames, &mut out);
+        }
         Ok(out)
+    }
+
+    /// What the zeros of these frames will be measured from: all of the frames that they were, or one of each where what is read does not
+    /// depend on what happened before (`whole`).
+    fn tare(
+        &self,
+        (skin, model): (&SkinDescription, &Arc<dyn ForwardModel>),
+        recording: &Recording,
+        frames: &[usize],
+        whole: bool,
+    ) -> Result<Tare, GapError> {
+        let (untouched, unshifted) = (self.untouched(model)?, self.unshifted(skin, model)?);
+        let shift = untouched.readings().iter().zip(unshifted.readings()).map(|(u, s)| u - s).collect();
+        let zeros: BTreeSet<u32> = frames.iter().filter_map(|frame| recording.zeros.of(*frame)).collect();
+        let mut part_of = BTreeMap::new();
+        for zero in zeros {
+            let all = recording.zeros.frames(zero);
+            let read = if whole { all } else { all.get(all.len() / 2).map_or(&[][..], std::slice::from_ref) };
+            part_of.extend(read.iter().map(|frame| (*frame, zero)));
+        }
+        Ok(Tare { part_of, sums: BTreeMap::new(), rest: unshifted.readings().to_vec(), shift })
     }
 
     /// Readings of several skins, on two threads; what cannot be made is an error of its own. `limited` says whether channels end.
@@ -246,6 +277,40 @@ impl Simulator<'_> {
         });
         let found: Option<Vec<_>> = done.into_iter().map(|slot| slot.into_inner().ok().flatten()).collect();
         found.ok_or(GapError::Interrupted)
+    }
+}
+
+/// The zeros of a simulated device: it is tared in the frames in which the real one was, so that what changes with time or temperature is
+/// subtracted as it was then.
+struct Tare {
+    /// Which zero an untouched frame is a part of.
+    part_of: BTreeMap<usize, u32>,
+    /// Sum of what was read in the frames of a zero, and their number.
+    sums: BTreeMap<u32, (Vec<f64>, f64)>,
+    /// What is read untouched, where a zero has no frames.
+    rest: Vec<f64>,
+    /// What channels are shifted by, which stays visible.
+    shift: Vec<f64>,
+}
+
+impl Tare {
+    /// Counts what is read in a frame.
+    fn add(&mut self, frame: usize, read: &[f64]) {
+        let Some(zero) = self.part_of.get(&frame) else { return };
+        let (sum, count) = self.sums.entry(*zero).or_insert_with(|| (vec![0.0; read.len()], 0.0));
+        sum.iter_mut().zip(read).for_each(|(s, r)| *s += r);
+        *count += 1.0;
+    }
+
+    /// Subtracts from the readings of these frames, `out`, what each counts from.
+    fn subtract(&self, recording: &Recording, frames: &[usize], out: &mut [f32]) {
+        for (frame, row) in frames.iter().zip(out.chunks_exact_mut(self.rest.len().max(1))) {
+            let sums = recording.zeros.of(*frame).and_then(|zero| self.sums.get(&zero));
+            for (k, value) in row.iter_mut().enumerate() {
+                let level = sums.map_or(self.rest[k], |(sum, count)| sum[k] / count - self.shift[k]);
+                *value = (f64::from(*value) - level) as f32;
+            }
+        }
     }
 }
 

@@ -15,7 +15,7 @@ use crate::statistics::Column;
 use crate::zero_level::ZeroLevel;
 
 /// Its digit goes up whenever signatures are made otherwise.
-const MAGIC: &[u8; 8] = b"dgapsigf";
+const MAGIC: &[u8; 8] = b"dgapsigg";
 
 #[derive(Serialize, Deserialize)]
 struct Head {

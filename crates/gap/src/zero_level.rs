@@ -32,6 +32,11 @@ impl ZeroLevel {
         self.held.get(channel).map_or(reading, |held| reading - held)
     }
 
+    /// Whether something was subtracted: the recording was tared, and the design reads something of its own.
+    pub(crate) fn is_subtracted(&self) -> bool {
+        !self.subtracted.is_empty()
+    }
+
     /// What was subtracted from the readings of a channel.
     pub(crate) fn subtracted(&self, channel: usize) -> f64 {
         self.subtracted.get(channel).copied().unwrap_or(0.0)

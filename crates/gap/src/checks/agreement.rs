@@ -202,6 +202,7 @@ impl Turn {
             channels: recording.channels,
             labels: recording.labels.clone(),
             zero: recording.zero,
+            zeros: recording.zeros.clone(),
             ..Recording::default()
         };
         for m in &mut other.labels {

@@ -109,7 +109,9 @@ fn decay(
     // Readings in deviations of the noise, root mean square: what a share of the sensitivity is worth.
     let model = whiten(&data.signatures.nominal, data.sigma);
     let weight = (dot(&model, &model) / n.max(1) as f64).sqrt().max(1e-9);
-    let decays = uptime::decays(data.samples);
+    let tared = data.signatures.zero.is_subtracted();
+    let decays: Vec<Vec<f32>> =
+        uptime::decays(data.samples, tared).iter().map(uptime::Course::since_zero).collect();
     let mut courses: Vec<Course> = Vec::new();
     for (&c, (_, parameter, amount)) in of.columns.iter().zip(&of.linear) {
         let (column, x) = (&columns[c], fit.of(c) as f32);
@@ -130,7 +132,7 @@ fn decay(
         course.count += 1;
     }
     let values: Vec<Vec<f32>> = courses.iter().map(|c| c.values.clone()).collect();
-    let (values, seconds) = uptime::fit_decay(data.samples, &values);
+    let (values, seconds) = uptime::fit_decay(data.samples, tared, &values);
     let mut effect = Effect::new(of.name.clone()).with(time, seconds);
     for (course, value) in courses.into_iter().zip(values) {
         let value = value * course.unit;

@@ -80,8 +80,7 @@ impl<'a> Context<'a> {
     fn at(&self, sample: usize, channel: usize) -> SignatureSample {
         let of = &self.samples.list[sample];
         SignatureSample {
-            nominal: self.reading(sample, channel),
-            zero: self.zero.subtracted(channel),
+            reading: self.reading(sample, channel) + self.zero.subtracted(channel),
             full_scale: self.full_scale[channel],
             warmer: of.temperature - NEUTRAL_TEMPERATURE,
             uptime: of.time,
@@ -89,23 +88,39 @@ impl<'a> Context<'a> {
         }
     }
 
-    /// One column for each channel: `amount` times the slope at sample and channel.
-    fn of_channels(&self, amount: f64, slope: fn(&SignatureSample) -> f64) -> Vec<Part> {
+    /// In the frames that a sample's zero was measured from; `None` where nothing was subtracted.
+    fn at_zero(&self, sample: usize, channel: usize) -> Option<SignatureSample> {
+        let zero =
+            self.samples.list[sample].zero.filter(|zero| zero.frames > 0 && self.zero.is_subtracted())?;
+        Some(SignatureSample {
+            reading: self.zero.subtracted(channel),
+            full_scale: self.full_scale[channel],
+            warmer: zero.temperature - NEUTRAL_TEMPERATURE,
+            uptime: zero.time,
+            presses: f64::from(zero.presses),
+        })
+    }
+
+    /// One column for each channel: `amount` times the slope at sample and channel, less what a tare takes away of it. What only shifts
+    /// channels (`stays`) is what the zero missed.
+    fn of_channels(&self, amount: f64, slope: fn(&SignatureSample) -> f64, stays: bool) -> Vec<Part> {
+        let tared = |i, k| if stays { 0.0 } else { self.at_zero(i, k).map_or(0.0, |zero| slope(&zero)) };
         (0..self.channels())
             .map(|k| {
-                let of = |i| (amount * slope(&self.at(i, k)) / self.noise[k]) as f32;
+                let of = |i| (amount * (slope(&self.at(i, k)) - tared(i, k)) / self.noise[k]) as f32;
                 let values = (0..self.samples.list.len()).map(of).collect();
                 Part::new(&self.names[k], amount, Column { channel: Some(k), values })
             })
             .collect()
     }
 
-    /// One column for all channels: the reading times a factor of the sample.
-    fn scaled(&self, factor: impl Fn(usize) -> f64) -> Column {
+    /// One column for all channels: the reading times a factor of the sample, less the untouched reading times that of its zero.
+    fn scaled(&self, factor: impl Fn(usize) -> [f64; 2]) -> Column {
         let channels = self.channels();
         let value = |i: usize| {
             let (sample, k) = (i / channels, i % channels);
-            factor(sample) * self.reading(sample, k) / self.noise[k]
+            let ([now, then], untouched) = (factor(sample), self.zero.subtracted(k));
+            (now * (self.reading(sample, k) + untouched) - then * untouched) / self.noise[k]
         };
         let count = self.samples.list.len() * channels;
         Column { channel: None, values: (0..count).map(|i| value(i) as f32).collect() }
@@ -113,25 +128,28 @@ impl<'a> Context<'a> {
 
     /// One column for all channels, for the amount at which the largest share of a reading is the one that is wanted.
     fn share(&self, of: &Share) -> Part {
-        let slopes: Vec<f64> = (0..self.samples.list.len()).map(|i| (of.slope)(&self.at(i, 0))).collect();
-        let amount = of.largest / slopes.iter().fold(0.0f64, |most, s| most.max(s.abs())).max(1e-9);
-        Part::new(of.parameter, amount, self.scaled(|i| amount * slopes[i]))
+        let slopes: Vec<[f64; 2]> = (0..self.samples.list.len())
+            .map(|i| [(of.slope)(&self.at(i, 0)), self.at_zero(i, 0).map_or(0.0, |zero| (of.slope)(&zero))])
+            .collect();
+        let amount = of.largest / slopes.iter().fold(0.0f64, |most, [s, _]| most.max(s.abs())).max(1e-9);
+        Part::new(of.parameter, amount, self.scaled(|i| slopes[i].map(|slope| amount * slope)))
     }
 
     /// Zeros, and one factor of all readings, that decay from power-on.
     fn decays(&self, share: &str) -> Vec<Part> {
-        let courses = uptime::decays(self.samples);
+        let courses = uptime::decays(self.samples, self.zero.is_subtracted());
         let sigma = mean(self.noise);
         let mut parts: Vec<Part> = Vec::new();
         for k in 0..self.channels() {
             for course in &courses {
                 let factor = (sigma / self.noise[k]) as f32;
-                let values = course.iter().map(|v| v * factor).collect();
+                let values = course.since_zero().iter().map(|v| v * factor).collect();
                 parts.push(Part::new(&self.names[k], sigma, Column { channel: Some(k), values }));
             }
         }
         for course in &courses {
-            let column = self.scaled(|i| DECAY_SHARE * f64::from(course[i]));
+            let column =
+                self.scaled(|i| [course.now[i], course.at_zero[i]].map(|v| DECAY_SHARE * f64::from(v)));
             parts.push(Part::new(share, DECAY_SHARE, column));
         }
         parts
@@ -178,7 +196,7 @@ impl<'a> Context<'a> {
         match of.diagnosis.signature {
             Signature::Channels { amount, slope } => {
                 let amount = effects::amount(amount, 1.0 / self.skin.rate, self.noise);
-                Parts::Columns(self.of_channels(amount, slope))
+                Parts::Columns(self.of_channels(amount, slope, of.diagnosis.shifts_channels))
             }
             Signature::Shares(shares) => Parts::Columns(shares.iter().map(|s| self.share(s)).collect()),
             Signature::DecayFromPowerOn { share, .. } => Parts::Columns(self.decays(share.0)),

@@ -4,17 +4,46 @@ use std::collections::BTreeMap;
 
 use crate::algebra::{components, dot};
 use crate::constants::signatures::{DECAY_COLUMNS, DECAYS, WHOLE};
-use crate::samples::Samples;
+use crate::samples::{Sample, Samples};
 
-/// What all decays from power-on have in common: a few courses, one value a sample each.
-pub(crate) fn decays(samples: &Samples) -> Vec<Vec<f32>> {
-    let courses: Vec<Vec<f32>> = DECAYS.iter().map(|tau| decay(samples, *tau)).collect();
-    components(&courses, WHOLE, DECAY_COLUMNS).0
+/// A course from power-on, one value a sample.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Course {
+    /// At the sample.
+    pub now: Vec<f32>,
+    /// In the frames that its zero was measured from; 0 where nothing was subtracted.
+    pub at_zero: Vec<f32>,
 }
 
-/// What is left of a value at power-on, one value a sample; `time` is the time constant in seconds.
-fn decay(samples: &Samples, time: f64) -> Vec<f32> {
-    samples.list.iter().map(|s| (-s.time / time).exp() as f32).collect()
+impl Course {
+    /// What a tared reading shows of it.
+    pub fn since_zero(&self) -> Vec<f32> {
+        self.now.iter().zip(&self.at_zero).map(|(now, zero)| now - zero).collect()
+    }
+}
+
+/// What all decays from power-on have in common: a few courses. `tared` says whether what is read untouched was subtracted.
+pub(crate) fn decays(samples: &Samples, tared: bool) -> Vec<Course> {
+    let n = samples.list.len();
+    let both = |tau: &f64| {
+        let Course { mut now, at_zero } = decay(samples, *tau, tared);
+        now.extend(at_zero);
+        now
+    };
+    let courses: Vec<Vec<f32>> = DECAYS.iter().map(both).collect();
+    let apart = |course: Vec<f32>| Course { now: course[..n].to_vec(), at_zero: course[n..].to_vec() };
+    components(&courses, WHOLE, DECAY_COLUMNS).0.into_iter().map(apart).collect()
+}
+
+/// What is left of a value at power-on; `time` is the time constant in seconds.
+fn decay(samples: &Samples, time: f64, tared: bool) -> Course {
+    let left = |since: f64| (-since / time).exp() as f32;
+    let zero =
+        |s: &Sample| s.zero.filter(|zero| tared && zero.frames > 0).map_or(0.0, |zero| left(zero.time));
+    Course {
+        now: samples.list.iter().map(|s| left(s.time)).collect(),
+        at_zero: samples.list.iter().map(zero).collect(),
+    }
 }
 
 /// Presses that have begun so far in the run of each sample.
@@ -37,13 +66,13 @@ pub(crate) fn presses(samples: &Samples) -> Vec<f64> {
 }
 
 /// The values at power-on, and the common time constant in seconds, whose exponential decays come nearest to `courses` (one value a
-/// sample) in least squares.
-pub(crate) fn fit_decay(samples: &Samples, courses: &[Vec<f32>]) -> (Vec<f64>, f64) {
+/// sample, as tared readings show them) in least squares.
+pub(crate) fn fit_decay(samples: &Samples, tared: bool, courses: &[Vec<f32>]) -> (Vec<f64>, f64) {
     // Half an order of magnitude in twelve steps.
     let times = (0..=48).map(|i| DECAYS[0] * 10f64.powf(f64::from(i) / 24.0));
     let mut best = (f64::INFINITY, vec![0.0; courses.len()], DECAYS[2]);
     for time in times {
-        let decay = decay(samples, time);
+        let decay = decay(samples, time, tared).since_zero();
         let energy = dot(&decay, &decay).max(1e-300);
         let along: Vec<f64> = courses.iter().map(|values| dot(&decay, values)).collect();
         let left: f64 = courses.iter().zip(&along).map(|(v, a)| dot(v, v) - a * a / energy).sum();
@@ -57,6 +86,7 @@ pub(crate) fn fit_decay(samples: &Samples, courses: &[Vec<f32>]) -> (Vec<f64>, f
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::recording::ZeroMean;
     use crate::statistics::tests::samples;
 
     fn timed() -> Samples {
@@ -69,10 +99,25 @@ mod tests {
     fn a_decay_has_its_values_and_its_time() {
         let samples = timed();
         let courses: Vec<Vec<f32>> =
-            [3.0, -1.5].map(|v| decay(&samples, 300.0).iter().map(|d| v * d).collect()).into();
-        let (values, time) = fit_decay(&samples, &courses);
+            [3.0, -1.5].map(|v| decay(&samples, 300.0, false).now.iter().map(|d| v * d).collect()).into();
+        let (values, time) = fit_decay(&samples, false, &courses);
         assert!((time / 300.0 - 1.0).abs() < 1e-9, "{time}");
         assert!((values[0] - 3.0).abs() < 1e-5 && (values[1] + 1.5).abs() < 1e-5, "{values:?}");
+    }
+
+    #[test]
+    fn a_tare_takes_away_what_a_decay_is_while_it_lasts() {
+        let mut samples = timed();
+        samples.list.iter_mut().for_each(|s| {
+            s.zero = Some(ZeroMean { index: 0, frames: 9, time: 2.0, temperature: f64::NAN, presses: 0 });
+        });
+        let shown = decay(&samples, 300.0, true).since_zero();
+        assert!((f64::from(shown[15]) - ((-1.0f64).exp() - (-2.0f64 / 300.0).exp())).abs() < 1e-6);
+        let (values, time) = fit_decay(&samples, true, &[shown.iter().map(|v| 2.0 * v).collect()]);
+        assert!((time / 300.0 - 1.0).abs() < 1e-9 && (values[0] - 2.0).abs() < 1e-5, "{values:?} {time}");
+        // Courses of what all have in common hold it, too.
+        let courses: Vec<Vec<f32>> = decays(&samples, true).iter().map(Course::since_zero).collect();
+        assert!(courses.iter().all(|course| course.len() == 40 && course.iter().all(|v| v.is_finite())));
     }
 
     #[test]

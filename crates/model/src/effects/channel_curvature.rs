@@ -14,9 +14,7 @@ pub(super) const EFFECT: CommonEffect = CommonEffect {
     stage: Stage::Transducer,
     diagnosis: Diagnosis {
         limits: Some([-CURVED, CURVED]),
-        ..Diagnosis::of_channels(Amount::Si(0.05), |sample| {
-            ((sample.nominal + sample.zero).powi(2) - sample.zero.powi(2)) / sample.full_scale
-        })
+        ..Diagnosis::of_channels(Amount::Si(0.05), |sample| sample.reading.powi(2) / sample.full_scale)
     },
     acts,
 };

@@ -17,7 +17,7 @@ pub(super) const EFFECT: CommonEffect = CommonEffect {
         least: 1e-3,
         describes_channels: true,
         // In a tared recording it scales signals: the zero was read with the same factor.
-        ..Diagnosis::of_channels(Amount::Si(0.05), |sample| sample.nominal)
+        ..Diagnosis::of_channels(Amount::Si(0.05), |sample| sample.reading)
     },
     acts,
 };

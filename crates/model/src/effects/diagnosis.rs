@@ -108,10 +108,8 @@ pub struct Share {
 /// One reading of one channel, as the signature of an effect depends on it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SignatureSample {
-    /// Reading of the nominal model, in the unit of the skin, less `zero`.
-    pub nominal: f64,
-    /// What the nominal model reads untouched, in the unit of the skin; 0 where the recording was not tared.
-    pub zero: f64,
+    /// What the nominal device reads, in the unit of the skin, before anything is subtracted.
+    pub reading: f64,
     /// Full scale of the channel ([`full_scale`](super::full_scale)), in the unit of the skin.
     pub full_scale: f64,
     /// \[K\] above [`NEUTRAL_TEMPERATURE`](super::NEUTRAL_TEMPERATURE).

@@ -322,8 +322,7 @@ fn a_signature_is_the_slope_of_its_effect() {
     let stimulus = Stimulus { temperature: 299.0, ..press(0.001, 1.3) };
     let skin = SkinFile::new("pad").read();
     let sample = SignatureSample {
-        nominal: read(vec![], &stimulus)[0],
-        zero: 0.0,
+        reading: read(vec![], &stimulus)[0],
         full_scale: full_scale(&skin.channels()[0], skin.noise),
         warmer: 299.0 - NEUTRAL_TEMPERATURE,
         uptime: 40.0,
@@ -347,7 +346,7 @@ fn a_signature_is_the_slope_of_its_effect() {
             }
             Signature::Shares(shares) => {
                 for share in shares {
-                    let expected = (share.slope)(&sample) * sample.nominal;
+                    let expected = (share.slope)(&sample) * sample.reading;
                     approx::assert_relative_eq!(step(share.parameter, 40.0), expected, max_relative = 1e-6);
                     seen += 1;
                 }

@@ -14,7 +14,7 @@ pub(super) const EFFECT: CommonEffect = CommonEffect {
     stage: Stage::Transducer,
     diagnosis: Diagnosis {
         follows: Some(Covariate::Temperature),
-        ..Diagnosis::of_channels(Amount::Si(0.01), |sample| sample.warmer * sample.nominal)
+        ..Diagnosis::of_channels(Amount::Si(0.01), |sample| sample.warmer * sample.reading)
     },
     acts,
 };
