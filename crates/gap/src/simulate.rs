@@ -365,6 +365,33 @@ mod tests {
     }
 
     #[test]
+    fn a_simulated_device_is_tared_when_the_recording_was() {
+        let skin = skin();
+        let make = |skin: &SkinDescription| small(skin, 700.0);
+        let simulator = Simulator { skin: &skin, effects: EFFECTS, make: &make };
+        // It loses a tenth of its sensitivity in the 144 s of the recording, of what it reads untouched as well.
+        let device = simulator.with(&[Effect::new("ageing").with("rate", 7e-4)]);
+        let mut recording = along(Zero::AsRead);
+        let frames: Vec<usize> = (0..recording.labels.len()).step_by(10).collect();
+        let as_read = simulator.readings(&device, &recording, &frames).unwrap();
+        for zero in [Zero::Start, Zero::Press] {
+            recording.tare(zero);
+            let read = simulator.readings(&device, &recording, &frames).unwrap();
+            let mut plain = recording.clone();
+            plain.zero = Zero::AsRead;
+            for ((row, tared), frame) in as_read.chunks_exact(3).zip(read.chunks_exact(3)).zip(&frames) {
+                let rests = recording.zeros.frames(recording.zeros.of(*frame).unwrap());
+                let rests: Vec<usize> = rests.iter().copied().collect::<BTreeSet<_>>().into_iter().collect();
+                let rest = simulator.readings(&device, &plain, &rests).unwrap();
+                for k in 0..3 {
+                    let level = rest.iter().skip(k).step_by(3).sum::<f32>() / rests.len() as f32;
+                    assert!((row[k] - level - tared[k]).abs() < 0.01, "{zero:?}, frame {frame}, channel {k}");
+                }
+            }
+        }
+    }
+
+    #[test]
     fn ends_of_channels_are_those_of_readings() {
         let mut skin = skin();
         let mut channels = skin.channels().to_vec();
