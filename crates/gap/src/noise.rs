@@ -280,6 +280,7 @@ mod tests {
 
     use super::*;
     use crate::recording::ZeroMean;
+    use crate::statistics::tests::samples;
 
     const CHANNELS: usize = 600;
     /// Untouched frames that a zero is the mean of.
@@ -292,40 +293,21 @@ mod tests {
         let mut noise =
             |of: f64| (0..CHANNELS).map(|_| of * rng.sample::<f64, _>(StandardNormal)).collect::<Vec<f64>>();
         let of_zero = 1.0 / f64::from(FRAMES).sqrt();
-        let mut samples = Samples { groups: 40, test: vec![false; 40], presses: 80, ..Samples::default() };
+        let mut samples = samples(&(0..320).map(|i| i / 8).collect::<Vec<_>>());
         let (mut residual, mut readings) = (Vec::new(), Vec::new());
         let mut zero = noise(of_zero);
-        for i in 0..320 {
+        for (i, sample) in samples.list.iter_mut().enumerate() {
             let (press, step) = (i / 4, i % 4);
             if each_press && step == 0 {
                 zero = noise(of_zero);
             }
+            sample.press = press;
+            sample.since = 0.1 * step as f64;
+            sample.position[0] = 1e-3 * sample.group as f64;
+            sample.paired = step == 0;
             let index = if each_press { press as u32 } else { 0 };
-            samples.list.push(Sample {
-                frame: i,
-                group: press / 2,
-                press,
-                location: (0, (press / 2) as u32),
-                session: 0,
-                phase: Phase::Hold,
-                force: 1.0,
-                since: 0.1 * step as f64,
-                time: i as f64,
-                before: 1.0,
-                speed: 0.0,
-                temperature: f64::NAN,
-                position: [1e-3 * (press / 2) as f64, 0.0, 0.0],
-                diameter: 8e-3,
-                contacts: 1,
-                paired: step == 0,
-                zero: known.then_some(ZeroMean {
-                    index,
-                    frames: FRAMES,
-                    time: 0.0,
-                    temperature: f64::NAN,
-                    presses: 0,
-                }),
-            });
+            let mean = ZeroMean { index, frames: FRAMES, time: 0.0, temperature: f64::NAN, presses: 0 };
+            sample.zero = known.then_some(mean);
             let signal = noise(3.0);
             let all = noise(1.0).into_iter().zip(&zero).map(|(frame, zero)| (frame - zero) as f32);
             let all: Vec<f32> = all.collect();

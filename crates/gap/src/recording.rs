@@ -39,7 +39,7 @@ impl FrameLabel {
 /// What readings are counted from.
 ///
 /// A model may read something where nothing touches. Readings as they were recorded are compared with what it reads; tared ones with
-/// its signals, from which its own untouched readings are subtracted ([`Untouched`](dermis_model::Untouched)).
+/// its signals, from which its own readings in the same untouched frames are subtracted.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Zero {
     /// As they were recorded: the zero of the device is part of the gap.
@@ -85,10 +85,11 @@ pub struct Zeros {
 }
 
 impl Zeros {
-    /// Which zero a frame counts from.
+    /// What a frame counts from; `None` where readings are as they were recorded.
     #[must_use]
-    pub fn of(&self, frame: usize) -> Option<u32> {
-        self.of_frame.get(frame).copied()
+    pub fn of(&self, frame: usize) -> Option<ZeroMean> {
+        let index = *self.of_frame.get(frame)?;
+        self.means.get(index as usize).copied()
     }
 
     /// Untouched frames that a zero is the mean of.
@@ -160,13 +161,6 @@ impl Recording {
     #[must_use]
     pub fn session_of(&self, frame: usize) -> u32 {
         self.session.get(frame).or(self.labels.get(frame).map(|m| &m.run)).copied().unwrap_or(0)
-    }
-
-    /// What a frame's zero was measured from; `None` where readings are as they were recorded.
-    #[must_use]
-    pub fn zero_of(&self, frame: usize) -> Option<ZeroMean> {
-        let index = *self.zeros.of_frame.get(frame)?;
-        self.zeros.means.get(index as usize).copied()
     }
 
     /// For each frame the first run and place of that run at which the same was pressed: a place keeps its identity over the runs of
@@ -524,22 +518,22 @@ mod tests {
     #[test]
     fn frames_know_what_their_zero_was_measured_from() {
         let mut recording = drifting_recording();
-        assert_eq!(recording.zero_of(10), None);
+        assert_eq!(recording.zeros.of(10), None);
         recording.tare(Zero::Start);
-        let zero = recording.zero_of(399).unwrap();
+        let zero = recording.zeros.of(399).unwrap();
         assert_eq!((zero.index, zero.frames, zero.presses), (0, 101, 0));
         approx::assert_abs_diff_eq!(zero.time, 0.5, epsilon = 1e-9);
         // Half a second before the second press is from the first one's end on.
         let mut recording = drifting_recording();
         recording.tare(Zero::Press);
-        let of = |frame| recording.zero_of(frame).map(|zero| (zero.index, zero.frames));
-        assert_eq!([0, 399].map(|frame| recording.zero_of(frame).unwrap().presses), [0, 1]);
+        let of = |frame| recording.zeros.of(frame).map(|zero| (zero.index, zero.frames));
+        assert_eq!([0, 399].map(|frame| recording.zeros.of(frame).unwrap().presses), [0, 1]);
         assert_eq!(
             [of(0), of(349), of(350), of(399)],
             [Some((0, 50)), Some((0, 50)), Some((1, 50)), Some((1, 50))]
         );
-        assert_eq!(recording.zero_of(0).unwrap().variance(), 1.0 / 50.0);
-        assert_eq!(ZeroMean { frames: 0, ..recording.zero_of(0).unwrap() }.variance(), 0.0);
+        assert_eq!(recording.zeros.of(0).unwrap().variance(), 1.0 / 50.0);
+        assert_eq!(ZeroMean { frames: 0, ..recording.zeros.of(0).unwrap() }.variance(), 0.0);
     }
 
     #[test]

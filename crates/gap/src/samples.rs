@@ -304,7 +304,7 @@ fn sample(recording: &Recording, facts: &[Facts], drawn: Drawn, group: usize) ->
         diameter: first.map_or(f64::NAN, dermis_model::Indentation::diameter),
         contacts: label.stimulus.as_ref().map_or(0, |s| s.contacts.len()),
         paired,
-        zero: recording.zero_of(frame),
+        zero: recording.zeros.of(frame),
     }
 }
 

@@ -80,22 +80,20 @@ impl Simulator<'_> {
             || common_effect(effect).is_some_and(|c| c.stateful)
     }
 
-    /// What `skin` reads untouched, but for effects that only shift channels: those stay visible in a tared recording, as what its
-    /// zero missed. `model` is the skin's.
+    /// The model of `skin` without effects that only shift channels: those stay visible in a tared recording, as what its zero missed.
+    /// `model` is the skin's, and the same where it has none.
     fn unshifted(
         &self,
         skin: &SkinDescription,
         model: &Arc<dyn ForwardModel>,
-    ) -> Result<Untouched, GapError> {
+    ) -> Result<Arc<dyn ForwardModel>, GapError> {
         let shifts = |name: &str| effects::of(name).shifts_channels;
-        let model = if skin.effects.iter().any(|e| shifts(&e.name)) {
-            let mut other = skin.clone();
-            other.effects.retain(|e| !shifts(&e.name));
-            self.model(&other)?
-        } else {
-            Arc::clone(model)
-        };
-        self.untouched(&model)
+        if !skin.effects.iter().any(|e| shifts(&e.name)) {
+            return Ok(Arc::clone(model));
+        }
+        let mut other = skin.clone();
+        other.effects.retain(|e| !shifts(&e.name));
+        self.model(&other)
     }
 
     fn untouched(&self, model: &Arc<dyn ForwardModel>) -> Result<Untouched, GapError> {
@@ -109,13 +107,14 @@ impl Simulator<'_> {
         if recording.zero == Zero::AsRead {
             return Ok(false);
         }
-        Ok(!self.unshifted(self.skin, &self.model(self.skin)?)?.is_zero())
+        let plain = self.unshifted(self.skin, &self.model(self.skin)?)?;
+        Ok(!self.untouched(&plain)?.is_zero())
     }
 
     /// What the design reads untouched, and what of it simulated readings of this recording hold.
     pub(crate) fn zero_level(&self, recording: &Recording) -> Result<ZeroLevel, GapError> {
         let model = self.model(self.skin)?;
-        let unshifted = self.unshifted(self.skin, &model)?;
+        let unshifted = self.untouched(&self.unshifted(self.skin, &model)?)?;
         Ok(ZeroLevel::new(&self.untouched(&model)?, &unshifted, recording.zero != Zero::AsRead))
     }
 
@@ -178,12 +177,10 @@ impl Simulator<'_> {
         let mut run = None;
         let mut wanted = frames.iter().copied().peekable();
         let resting = tare.iter().flat_map(|tare| tare.part_of.keys());
-        let mut all: Vec<usize> = frames.iter().chain(resting).copied().collect();
-        all.sort_unstable();
-        all.dedup();
-        if whole {
-            all = (0..all.last().map_or(0, |last| last + 1)).collect();
-        }
+        let asked: BTreeSet<usize> = frames.iter().chain(resting).copied().collect();
+        let last = asked.last().map_or(0, |last| last + 1);
+        let all: Box<dyn Iterator<Item = usize>> =
+            if whole { Box::new(0..last) } else { Box::new(asked.into_iter()) };
         for frame in all {
             let label = &recording.labels[frame];
             if run != Some(label.run) {
@@ -229,16 +226,27 @@ impl Simulator<'_> {
         frames: &[usize],
         whole: bool,
     ) -> Result<Tare, GapError> {
-        let (untouched, unshifted) = (self.untouched(model)?, self.unshifted(skin, model)?);
-        let shift = untouched.readings().iter().zip(unshifted.readings()).map(|(u, s)| u - s).collect();
-        let zeros: BTreeSet<u32> = frames.iter().filter_map(|frame| recording.zeros.of(*frame)).collect();
+        let plain = self.unshifted(skin, model)?;
+        let rest = self.untouched(&plain)?.readings().to_vec();
+        let shift = if Arc::ptr_eq(&plain, model) {
+            vec![0.0; rest.len()]
+        } else {
+            self.untouched(model)?
+                .readings()
+                .iter()
+                .zip(&rest)
+                .map(|(shifted, rest)| shifted - rest)
+                .collect()
+        };
+        let zeros: BTreeSet<u32> =
+            frames.iter().filter_map(|frame| Some(recording.zeros.of(*frame)?.index)).collect();
         let mut part_of = BTreeMap::new();
         for zero in zeros {
             let all = recording.zeros.frames(zero);
             let read = if whole { all } else { all.get(all.len() / 2).map_or(&[][..], std::slice::from_ref) };
             part_of.extend(read.iter().map(|frame| (*frame, zero)));
         }
-        Ok(Tare { part_of, sums: BTreeMap::new(), rest: unshifted.readings().to_vec(), shift })
+        Ok(Tare { part_of, sums: BTreeMap::new(), rest, shift })
     }
 
     /// Readings of several skins, on two threads; what cannot be made is an error of its own. `limited` says whether channels end.
@@ -305,7 +313,7 @@ impl Tare {
     /// Subtracts from the readings of these frames, `out`, what each counts from.
     fn subtract(&self, recording: &Recording, frames: &[usize], out: &mut [f32]) {
         for (frame, row) in frames.iter().zip(out.chunks_exact_mut(self.rest.len().max(1))) {
-            let sums = recording.zeros.of(*frame).and_then(|zero| self.sums.get(&zero));
+            let sums = recording.zeros.of(*frame).and_then(|zero| self.sums.get(&zero.index));
             for (k, value) in row.iter_mut().enumerate() {
                 let level = sums.map_or(self.rest[k], |(sum, count)| sum[k] / count - self.shift[k]);
                 *value = (f64::from(*value) - level) as f32;
@@ -380,7 +388,7 @@ mod tests {
             let mut plain = recording.clone();
             plain.zero = Zero::AsRead;
             for ((row, tared), frame) in as_read.chunks_exact(3).zip(read.chunks_exact(3)).zip(&frames) {
-                let rests = recording.zeros.frames(recording.zeros.of(*frame).unwrap());
+                let rests = recording.zeros.frames(recording.zeros.of(*frame).unwrap().index);
                 let rests: Vec<usize> = rests.iter().copied().collect::<BTreeSet<_>>().into_iter().collect();
                 let rest = simulator.readings(&device, &plain, &rests).unwrap();
                 for k in 0..3 {

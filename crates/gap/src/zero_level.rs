@@ -1,6 +1,6 @@
 //! What the nominal model reads where nothing touches, beside what a recording counts its readings from.
 //!
-//! A recording that was tared holds signals: there the untouched readings of each simulated skin are subtracted from what it reads
+//! A recording that was tared holds signals: there what each simulated skin reads in the same untouched frames is subtracted from what it reads
 //! ([`Simulator::readings`](crate::simulate::Simulator::readings)). In readings as they were recorded they are still there. What
 //! scales with a touch (the laws of the model discrepancy, the energy of a model along an axis) must not scale with them.
 

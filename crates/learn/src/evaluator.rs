@@ -43,11 +43,12 @@ impl GraphEvaluator {
     pub(crate) fn evaluate(
         &mut self,
         data: &Dataset,
-        only: Option<&BTreeSet<SampleId>>,
+        only: Option<&[SampleId]>,
         maps: Maps,
         name: String,
     ) -> Result<(Evaluation, Vec<Point>), LearnError> {
-        let wanted = |id: &SampleId| only.is_none_or(|only| only.contains(id));
+        let only: Option<BTreeSet<SampleId>> = only.map(|ids| ids.iter().copied().collect());
+        let wanted = |id: &SampleId| only.as_ref().is_none_or(|only| only.contains(id));
         let values = &self.finder.outputs().config().values;
         let gives = |name: &str| values.iter().any(|v| v.name == name);
         let mut scores = Scores::new(Rule {

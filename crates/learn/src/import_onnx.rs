@@ -1,6 +1,6 @@
 //! Models that were trained elsewhere: an ONNX graph becomes a bundle that a node loads.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use dermis_inference::onnx::{GraphTensor, Signature, listed, with_batch_of_one};
@@ -269,10 +269,9 @@ fn measure<'a>(
         return Err(LearnError::Unfit(found));
     }
     let (held_out, name) = SplitConfig::evaluated(split, data)?;
-    let only: Option<BTreeSet<SampleId>> = held_out.map(|ids| ids.into_iter().collect());
     // There is no forward model here: displacements are not compared.
     let maps = Maps::new(data.skin(), None, &[])?;
-    let (evaluation, points) = evaluator.evaluate(data, only.as_ref(), maps, name)?;
+    let (evaluation, points) = evaluator.evaluate(data, held_out.as_deref(), maps, name)?;
     Ok(Some(Measured { data, split, evaluation, points }))
 }
 

@@ -2,7 +2,6 @@
 //!
 //! How the two graphs become one: [`dermis_inference::join`]. What is measured here is the whole, on bags of the device.
 
-use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -12,7 +11,7 @@ use dermis_model::ForwardModel;
 use dermis_skin::SkinDescription;
 use serde_json::json;
 
-use crate::dataset::{Dataset, SampleId};
+use crate::dataset::Dataset;
 use crate::evaluate::Evaluation;
 use crate::evaluator::GraphEvaluator;
 use crate::target::Maps;
@@ -73,9 +72,8 @@ fn measure(
     let taken = (&manifest.input, manifest.baseline);
     let mut evaluator = GraphEvaluator::new(request.out, (model, decoder), taken, request.skin)?;
     let (held_out, name) = SplitConfig::evaluated(split, data)?;
-    let only: Option<BTreeSet<SampleId>> = held_out.map(|ids| ids.into_iter().collect());
     let maps = Maps::new(request.skin, request.model.clone(), &[])?;
-    Ok(evaluator.evaluate(data, only.as_ref(), maps, name)?.0)
+    Ok(evaluator.evaluate(data, held_out.as_deref(), maps, name)?.0)
 }
 
 #[cfg(test)]

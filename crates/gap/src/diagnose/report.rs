@@ -248,8 +248,8 @@ pub(super) fn finish(
     let options = &data.options.select;
     report.suspects = suspects(&data.signatures.candidates, &explained.selection, options.floor);
     let counts = (sure, effects.len());
-    let measures = (&gap, scope.irreproducible);
-    report.verdict = verdict(&report.unknown, counts, &explained.selection, measures, options.margin);
+    let (selection, irreproducible) = (&explained.selection, scope.irreproducible);
+    report.verdict = verdict(&report.unknown, counts, selection, &gap, irreproducible, options.margin);
     if effects.len() > sure && remainder.share < NAMED {
         report.residual_reduction = None;
         report.held_out = None;
@@ -344,7 +344,8 @@ fn verdict(
     unknown: &Unknown,
     (sure, all): (usize, usize),
     selection: &Selection,
-    (gap, irreproducible): (&Gap, bool),
+    gap: &Gap,
+    irreproducible: bool,
     margin: f64,
 ) -> Verdict {
     if all > 0 {
@@ -468,7 +469,7 @@ mod tests {
         let said = |unknown: Unknown, counts, discrepancy: f64, gap: Gap| {
             let selection = Selection { discrepancy, ..Selection::default() };
             let irreproducible = gap.irreproducible.is_some();
-            verdict(&unknown, counts, &selection, (&gap, irreproducible), 0.005)
+            verdict(&unknown, counts, &selection, &gap, irreproducible, 0.005)
         };
         assert_eq!(said(unknown(0.2, 0.0), (0, 1), 0.0, gap(0.08, 0.07)), Verdict::Named);
         assert_eq!(said(unknown(0.5, 0.0), (0, 1), 0.0, gap(0.08, 0.07)), Verdict::NamedAndUnknown);

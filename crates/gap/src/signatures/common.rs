@@ -138,12 +138,13 @@ impl<'a> Context<'a> {
     /// Zeros, and one factor of all readings, that decay from power-on.
     fn decays(&self, share: &str) -> Vec<Part> {
         let courses = uptime::decays(self.samples, self.zero.is_subtracted());
+        let shown: Vec<Vec<f32>> = courses.iter().map(uptime::Course::since_zero).collect();
         let sigma = mean(self.noise);
         let mut parts: Vec<Part> = Vec::new();
         for k in 0..self.channels() {
-            for course in &courses {
+            for course in &shown {
                 let factor = (sigma / self.noise[k]) as f32;
-                let values = course.since_zero().iter().map(|v| v * factor).collect();
+                let values = course.iter().map(|v| v * factor).collect();
                 parts.push(Part::new(&self.names[k], sigma, Column { channel: Some(k), values }));
             }
         }

@@ -100,7 +100,6 @@ pub fn run(
     }
     let split = config.split.apply(data)?;
     let features = measure_features(data, config, &split)?;
-    let held_out: BTreeSet<SampleId> = split.test.iter().copied().collect();
     let mut maps =
         Maps::new(data.skin(), request.model.clone(), &config.maps())?.spread_by(config.force_profile);
     let specs = measure_outputs(data, &outputs, &split, &mut maps)?;
@@ -118,7 +117,7 @@ pub fn run(
     let mut evaluator = GraphEvaluator::new(request.out, (model, decoder), input, data.skin())?;
     let true_maps = || Maps::new(data.skin(), request.model.clone(), &config.maps());
     let (evaluation, points) =
-        evaluator.evaluate(data, Some(&held_out), true_maps()?, config.split.describe())?;
+        evaluator.evaluate(data, Some(&split.test), true_maps()?, config.split.describe())?;
     let mut others = Vec::new();
     for (name, other) in request.others {
         let (evaluation, points) =
