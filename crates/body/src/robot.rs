@@ -24,6 +24,7 @@ use std::collections::hash_map::Entry;
 use std::collections::{BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 
+use dermis_io::toml::Fault;
 use dermis_skin::{Mount, SkinDescription, SkinError, is_frame, is_name};
 use nalgebra::{Isometry3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -289,19 +290,12 @@ fn field_error(file: &str, field: &str, reason: String) -> RobotError {
 
 /// The file's keys and values, as they stand there.
 fn parse(text: &str, file: &str) -> Result<RobotFile, RobotError> {
-    let whole = |reason: &str| field_error(file, "(whole file)", reason.trim().replace('\n', " "));
-    let deserializer = toml::Deserializer::parse(text).map_err(|e| whole(e.message()))?;
-    let (mut unknown, mut track) = (None, serde_path_to_error::Track::new());
-    let path_aware = serde_path_to_error::Deserializer::new(deserializer, &mut track);
-    let parsed: Result<RobotFile, _> = serde_ignored::deserialize(path_aware, |path| {
-        unknown.get_or_insert_with(|| path.to_string());
-    });
-    if let Some(key) = unknown {
-        return Err(RobotError::UnknownKey { file: file.to_owned(), key });
-    }
-    parsed.map_err(|e| match track.path().to_string() {
-        path if path == "." => whole(e.message()),
-        path => field_error(file, &path, e.message().to_owned()),
+    dermis_io::toml::parse(text).map_err(|fault| match fault {
+        Fault::UnknownKey { key } => RobotError::UnknownKey { file: file.to_owned(), key },
+        fault => {
+            let (field, reason) = fault.into_field();
+            field_error(file, &field, reason)
+        }
     })
 }
 

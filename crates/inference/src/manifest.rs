@@ -4,6 +4,7 @@ use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use dermis_inversion::Settings;
+use dermis_io::toml::Fault;
 use dermis_skin::{ImageGrid, SkinDescription};
 use serde::{Deserialize, Serialize};
 
@@ -193,31 +194,17 @@ impl Manifest {
     ///
     /// [`ManifestError`] names the field and what is wrong with it.
     pub fn from_toml(text: &str, file: &str) -> Result<Self, ManifestError> {
-        let parse =
-            |field: String, reason: String| ManifestError::Parse { file: file.to_owned(), field, reason };
-        let table: toml::Table = text
-            .parse()
-            .map_err(|e: toml::de::Error| parse(position(text, e.span()), e.message().to_owned()))?;
+        let wrong = |fault: Fault| match fault {
+            Fault::UnknownKey { key } => ManifestError::UnknownKey { file: file.to_owned(), key },
+            fault => {
+                let (field, reason) = fault.into_field();
+                ManifestError::Parse { file: file.to_owned(), field, reason }
+            }
+        };
+        let table: toml::Table = dermis_io::toml::parse(text).map_err(wrong)?;
         // The schema comes first: a newer file may have any field.
         check_schema(table.get("schema"), file)?;
-        let mut unknown = None;
-        let mut track = serde_path_to_error::Track::new();
-        let parsed: Result<Self, _> = {
-            let deserializer = toml::Deserializer::parse(text)
-                .map_err(|e| parse(position(text, e.span()), e.message().to_owned()))?;
-            let path_aware = serde_path_to_error::Deserializer::new(deserializer, &mut track);
-            serde_ignored::deserialize(path_aware, |path| {
-                unknown.get_or_insert_with(|| path.to_string());
-            })
-        };
-        let manifest = parsed.map_err(|e| {
-            let path = track.path().to_string();
-            let field = if path == "." { position(text, e.span()) } else { path };
-            parse(field, e.message().to_owned())
-        })?;
-        if let Some(key) = unknown {
-            return Err(ManifestError::UnknownKey { file: file.to_owned(), key });
-        }
+        let manifest: Self = dermis_io::toml::of_table(table).map_err(wrong)?;
         manifest.validate(file)?;
         Ok(manifest)
     }
@@ -453,14 +440,4 @@ fn check_schema(schema: Option<&toml::Value>, file: &str) -> Result<(), Manifest
 pub(crate) fn is_hash(text: &str) -> bool {
     text.strip_prefix("sha256:")
         .is_some_and(|hex| hex.len() == 64 && hex.bytes().all(|b| b.is_ascii_hexdigit()))
-}
-
-/// "line 3, column 5" of a byte range, for errors that belong to no field.
-fn position(text: &str, span: Option<std::ops::Range<usize>>) -> String {
-    let Some(before) = span.and_then(|span| text.get(..span.start)) else {
-        return "(whole file)".to_owned();
-    };
-    let line = before.matches('\n').count() + 1;
-    let column = before.chars().rev().take_while(|c| *c != '\n').count() + 1;
-    format!("line {line}, column {column}")
 }

@@ -5,7 +5,8 @@
 //! reads the output may stop reading. None of this may hang a program, fill the memory, or end in a panic.
 //!
 //! Solution: [`read`], [`read_text`], [`open`] and [`open_at_most`] take regular files only and stop at a limit that the caller names.
-//! [`yaml::check`] counts what a YAML text stands for before anything is built of it. [`pipe::end_quietly`] ends a program
+//! [`yaml::check`] counts what a YAML text stands for before anything is built of it. [`toml::parse`] says where in a text a value is
+//! wrong. [`pipe::end_quietly`] ends a program
 //! whose standard output nobody reads any more, as the shell expects it. [`machine`] tells what a measurement ran on.
 //!
 //! All errors are of [`std::io::Error`], so that each reader puts them into its own sentence with the path.
@@ -19,6 +20,7 @@
 mod file;
 mod machine;
 pub mod pipe;
+pub mod toml;
 pub mod yaml;
 
 pub use file::{open, open_at_most, read, read_text};

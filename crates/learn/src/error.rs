@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use dermis_bag::BagError;
 use dermis_inference::{BundleError, FeatureError, JoinError, ModelError, OutputError};
 use dermis_skin::EstimateError;
+use serde::de::DeserializeOwned;
 
 use crate::Findings;
 
@@ -168,13 +169,11 @@ impl LearnError {
         move |source| Self::Io { path, action, source }
     }
 
-    /// What is wrong with a file of TOML, and in which line.
-    pub(crate) fn toml(text: &str, file: &str, error: &toml::de::Error) -> Self {
-        let before = error.span().and_then(|s| text.get(..s.start)).unwrap_or_default();
-        Self::Config {
-            file: file.to_owned(),
-            field: format!("(line {})", before.matches('\n').count() + 1),
-            reason: error.message().to_owned(),
-        }
+    /// A file of TOML as a value.
+    pub(crate) fn of_toml<T: DeserializeOwned>(text: &str, file: &str) -> Result<T, Self> {
+        dermis_io::toml::parse(text).map_err(|fault| {
+            let (field, reason) = fault.into_field();
+            Self::Config { file: file.to_owned(), field, reason }
+        })
     }
 }

@@ -116,7 +116,7 @@ impl Wiring {
         let path = path.as_ref();
         let text = dermis_io::read_text(path, dermis_io::TEXT).map_err(LearnError::io(path, "read"))?;
         let file = path.display().to_string();
-        toml::from_str(&text).map_err(|e| LearnError::toml(&text, &file, &e))
+        LearnError::of_toml(&text, &file)
     }
 
     fn features(&self, channels: usize) -> FeatureConfig {

@@ -5,6 +5,7 @@
 use std::path::Path;
 use std::sync::OnceLock;
 
+use dermis_io::toml::Fault;
 use dermis_msgs::ChannelLayout;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -109,30 +110,11 @@ impl SkinDescription {
     ///
     /// As [`load`](Self::load).
     pub fn from_toml(text: &str, file: &str) -> Result<Self, SkinError> {
-        let deserializer = toml::Deserializer::parse(text).map_err(|e| SkinError::Parse {
-            file: file.to_owned(),
-            field: position(text, e.span()),
-            reason: e.message().to_owned(),
-        })?;
-        let mut unknown = None;
-        let mut track = serde_path_to_error::Track::new();
-        let parsed: Result<Self, _> = {
-            let path_aware = serde_path_to_error::Deserializer::new(deserializer, &mut track);
-            serde_ignored::deserialize(path_aware, |path| {
-                unknown.get_or_insert_with(|| path.to_string());
-            })
-        };
-        // A misspelt key is the likely reason for a missing one, so that it comes first.
-        if let Some(key) = unknown {
-            return Err(SkinError::UnknownKey { file: file.to_owned(), key, known: KNOWN_KEYS.join(", ") });
-        }
-        let mut skin = parsed.map_err(|e| SkinError::Parse {
-            file: file.to_owned(),
-            field: match track.path().to_string() {
-                p if p == "." => position(text, e.span()),
-                p => p,
-            },
-            reason: e.message().to_owned(),
+        let mut skin: Self = dermis_io::toml::parse(text).map_err(|fault| match fault {
+            Fault::UnknownKey { key } => {
+                SkinError::UnknownKey { file: file.to_owned(), key, known: KNOWN_KEYS.join(", ") }
+            }
+            fault => SkinError::parse(file, fault),
         })?;
         skin.finish(file)?;
         crate::limits::distinct(&skin.taxels).map_err(|(field, reason)| SkinError::Impossible {
@@ -158,11 +140,10 @@ impl SkinDescription {
         let file = || path.display().to_string();
         let text = dermis_io::read_text(path, dermis_io::TEXT)
             .map_err(|source| SkinError::Read { path: path.to_owned(), source })?;
-        let Stated { rate } = toml::from_str(&text).map_err(|e| SkinError::Parse {
-            file: file(),
-            field: position(&text, e.span()),
-            reason: e.message().trim().replace('\n', " "),
-        })?;
+        let wrong = |fault| SkinError::parse(&file(), fault);
+        let mut table: toml::Table = dermis_io::toml::parse(&text).map_err(wrong)?;
+        table.retain(|key, _| key == "rate");
+        let Stated { rate } = dermis_io::toml::of_table(table).map_err(wrong)?;
         let [low, high] = crate::limits::RATE;
         if !(low..=high).contains(&rate) {
             let reason = crate::limits::outside(rate, low, high, "Hz");
@@ -189,12 +170,8 @@ impl SkinDescription {
     ///
     /// [`ModelError::Description`] with the field `medium.…` that is missing, unknown or of another type.
     pub fn medium_as<T: serde::de::DeserializeOwned>(&self) -> Result<T, ModelError> {
-        serde_path_to_error::deserialize(toml::Value::Table(self.medium.clone())).map_err(|e| {
-            let field = match e.path().to_string() {
-                p if p == "." => "medium".to_owned(),
-                p => format!("medium.{p}"),
-            };
-            let reason = e.inner().message().trim().replace('\n', " ");
+        dermis_io::toml::of_table(self.medium.clone()).map_err(|fault| {
+            let (field, reason) = fault.into_field_of("medium");
             self.refusal(&field, reason)
         })
     }
@@ -329,15 +306,6 @@ const KNOWN_KEYS: [&str; 16] = [
     "medium",
     "effects",
 ];
-/// "line 3, column 5" of a byte range, for errors that belong to no field.
-fn position(text: &str, span: Option<std::ops::Range<usize>>) -> String {
-    let Some(span) = span.filter(|s| s.start > 0) else { return "(whole file)".to_owned() };
-    let before = text.get(..span.start).unwrap_or(text);
-    let line = before.matches('\n').count() + 1;
-    let column = before.chars().rev().take_while(|c| *c != '\n').count() + 1;
-    format!("line {line}, column {column}")
-}
-
 #[cfg(test)]
 mod tests {
     use super::parts::up;
@@ -370,7 +338,7 @@ mod tests {
         assert_eq!(stated("sensor = 'of nobody'\nrate = 40"), Ok(40.0));
         insta::assert_snapshot!(stated("rate = 0.0").unwrap_err(), @"skin file pad.toml: field `rate`: is 0e0 Hz and must be 0.001 to 1000000 Hz");
         insta::assert_snapshot!(stated("sensor = 'x'").unwrap_err(), @"skin file pad.toml: field `(whole file)`: missing field `rate`");
-        insta::assert_snapshot!(stated("\nrate = 'fast'").unwrap_err(), @r#"skin file pad.toml: field `line 2, column 8`: invalid type: string "fast", expected f64"#);
+        insta::assert_snapshot!(stated("\nrate = 'fast'").unwrap_err(), @r#"skin file pad.toml: field `rate`: invalid type: string "fast", expected f64"#);
         std::fs::remove_file(&path).unwrap();
         assert!(matches!(SkinDescription::rate_of(&path), Err(SkinError::Read { .. })));
     }

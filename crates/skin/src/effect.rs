@@ -131,25 +131,10 @@ impl Effect {
         let text = dermis_io::read_text(path, dermis_io::TEXT)
             .map_err(|source| SkinError::ReadEffects { path: path.to_owned(), source })?;
         let file = path.display().to_string();
-        let wrong = |field: String, reason: &str| SkinError::Effects {
-            file: file.clone(),
-            field,
-            reason: reason.trim().replace('\n', " "),
-        };
-        let deserializer = toml::Deserializer::parse(&text).map_err(|e| {
-            let start = e.span().map_or(0, |span| span.start);
-            let line = 1 + text.get(..start).unwrap_or(&text).matches('\n').count();
-            wrong(format!("line {line}"), e.message())
-        })?;
-        let read: File = serde_path_to_error::deserialize(deserializer).map_err(|e| {
-            let field = match e.path().to_string() {
-                p if p == "." => "(whole file)".to_owned(),
-                p => p,
-            };
-            wrong(field, e.inner().message())
-        })?;
+        let wrong = |(field, reason)| SkinError::Effects { file: file.clone(), field, reason };
+        let read: File = dermis_io::toml::parse(&text).map_err(|fault| wrong(fault.into_field()))?;
         match impossible(&read.effects) {
-            Some((field, reason)) => Err(wrong(field, &reason)),
+            Some(fault) => Err(wrong(fault)),
             None => Ok(read.effects),
         }
     }
@@ -308,7 +293,7 @@ mod tests {
         insta::assert_snapshot!(load("[[effects]]\nname = \"gain\"\nby = \"much\"").unwrap_err(), @r#"effects file /device.toml: field `effects[0]`: invalid type: string "much", expected f64"#);
         insta::assert_snapshot!(load("[[effect]]\nname = \"gain\"").unwrap_err(), @"effects file /device.toml: field `effect`: unknown field `effect`, expected `effects`");
         insta::assert_snapshot!(load("[[effects]]\nname = \"gain\"\nstrength = nan").unwrap_err(), @"effects file /device.toml: field `effects[0].strength`: is NaN and must be 0 (off) or positive");
-        insta::assert_snapshot!(load("[[effects]]\nname =").unwrap_err(), @"effects file /device.toml: field `line 2`: string values must be quoted, expected literal string");
+        insta::assert_snapshot!(load("[[effects]]\nname =").unwrap_err(), @"effects file /device.toml: field `line 2, column 7`: string values must be quoted, expected literal string");
         let refused = |effect| Effect::check(&[effect], KNOWN, "pad").unwrap_err().to_string();
         insta::assert_snapshot!(refused(Effect::new("gian")), @r#"skin `pad`: field `effects[0].name`: "gian" is no effect of this sensor; it has gain"#);
         insta::assert_snapshot!(refused(Effect::new("gain").with("bye", 0.1)), @"skin `pad`: field `effects[0].bye`: is no parameter of gain; it has by");

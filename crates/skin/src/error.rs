@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use dermis_io::toml::Fault;
+
 /// A skin description that cannot be used, and why.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -62,4 +64,11 @@ pub enum SkinError {
         /// What is wrong with it.
         reason: String,
     },
+}
+
+impl SkinError {
+    pub(crate) fn parse(file: &str, fault: Fault) -> Self {
+        let (field, reason) = fault.into_field();
+        Self::Parse { file: file.to_owned(), field, reason }
+    }
 }

@@ -84,12 +84,9 @@ impl FamilyShape {
     ///
     /// [`FieldFault`] with the field `surface.…` that is missing, unknown or of another type.
     pub fn parameters_as<T: DeserializeOwned>(&self) -> Result<T, FieldFault> {
-        serde_path_to_error::deserialize(toml::Value::Table(self.parameters.clone())).map_err(|error| {
-            let field = match error.path().to_string() {
-                path if path == "." => "surface".to_owned(),
-                path => format!("surface.{path}"),
-            };
-            FieldFault::new(field, error.inner().message().trim().replace('\n', " "))
+        dermis_io::toml::of_table(self.parameters.clone()).map_err(|fault| {
+            let (field, reason) = fault.into_field_of("surface");
+            FieldFault::new(field, reason)
         })
     }
 }

@@ -258,17 +258,9 @@ impl Plan {
             field: field.to_owned(),
             reason: reason.trim().replace('\n', " "),
         };
-        let deserializer = toml::Deserializer::parse(text).map_err(|e| {
-            let start = e.span().map_or(0, |span| span.start);
-            let line = 1 + text.get(..start).unwrap_or(text).matches('\n').count();
-            wrong(&format!("line {line}"), e.message())
-        })?;
-        let read: PlanFile = serde_path_to_error::deserialize(deserializer).map_err(|e| {
-            let field = match e.path().to_string() {
-                p if p == "." => "(whole file)".to_owned(),
-                p => p,
-            };
-            wrong(&field, e.inner().message())
+        let read: PlanFile = dermis_io::toml::parse(text).map_err(|fault| {
+            let (field, reason) = fault.into_field();
+            wrong(&field, &reason)
         })?;
         if read.schema != SCHEMA {
             let reason = format!("is \"{}\" where this program reads \"{SCHEMA}\"", read.schema);

@@ -190,13 +190,10 @@ impl Config {
     }
 
     fn parse(text: &str, path: &Path) -> Result<Self, ConfigError> {
-        let wrong = |field: String, reason: &str| ConfigError::Field {
-            path: path.to_owned(),
-            field: if field == "." { "(whole file)".into() } else { field },
-            reason: reason.split_whitespace().collect::<Vec<_>>().join(" "),
-        };
-        let tree = toml::Deserializer::parse(text).map_err(|e| wrong(".".into(), e.message()))?;
-        serde_path_to_error::deserialize(tree).map_err(|e| wrong(e.path().to_string(), e.inner().message()))
+        dermis_io::toml::parse(text).map_err(|fault| {
+            let (field, reason) = fault.into_field();
+            ConfigError::Field { path: path.to_owned(), field, reason }
+        })
     }
 }
 
@@ -224,6 +221,6 @@ mod tests {
         assert!(
             wrong("robot = 'r'\n[settings]\nhold = 'long'").contains("field `settings.hold`: invalid type")
         );
-        assert!(wrong("robot = ").starts_with("configuration f.toml: field `(whole file)`: "));
+        assert!(wrong("robot = ").starts_with("configuration f.toml: field `line 1, column 9`: "));
     }
 }

@@ -38,6 +38,8 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use dermis_io::toml::Fault;
+
 use crate::rules::{
     Action, ContactLimits, Input, InputKind, LimitPair, Loss, PASCALS_PER_N_PER_CM2, Region, Rule, Rules,
     Threshold,
@@ -134,46 +136,13 @@ impl Rules {
 
 /// Keys and values as they stand in the file.
 fn parse(text: &str, file: &str) -> Result<RawRules, RuleFileError> {
-    let syntax = |error: &toml::de::Error| RuleFileError::Syntax {
-        file: file.to_owned(),
-        line: error.span().map_or(1, |span| locate::line(text, span.start)),
-        reason: error.message().trim().replace('\n', " "),
-    };
-    let deserializer = toml::Deserializer::parse(text).map_err(|e| syntax(&e))?;
-    let (mut unknown, mut track) = (None, serde_path_to_error::Track::new());
-    let path_aware = serde_path_to_error::Deserializer::new(deserializer, &mut track);
-    let parsed: Result<RawRules, _> = serde_ignored::deserialize(path_aware, |path| {
-        unknown.get_or_insert_with(|| with_indices(&path.to_string()));
-    });
-    // A misspelt key is the likely reason for a missing one, so that it comes first.
-    if let Some(field) = unknown {
-        let line = locate::line_of(text, &field);
-        let reason = "is not known; remove it or correct its spelling".to_owned();
-        return Err(RuleFileError::Field { file: file.to_owned(), line, field, reason });
-    }
-    parsed.map_err(|e| match track.path().to_string() {
-        path if path == "." => syntax(&e),
-        field => RuleFileError::Field {
-            file: file.to_owned(),
-            line: locate::line_of(text, &field),
-            field,
-            reason: e.message().trim().replace('\n', " "),
-        },
-    })
-}
-
-/// `rules.1.force.?.above` as `rules[1].force.above`: a question mark is a key that may be absent.
-fn with_indices(path: &str) -> String {
-    let mut out = String::with_capacity(path.len());
-    for part in path.split('.').filter(|part| *part != "?") {
-        if part.bytes().all(|b| b.is_ascii_digit()) {
-            out += &format!("[{part}]");
-        } else {
-            out += if out.is_empty() { "" } else { "." };
-            out += part;
+    dermis_io::toml::parse(text).map_err(|fault| match fault {
+        Fault::Syntax { line, reason, .. } => RuleFileError::Syntax { file: file.to_owned(), line, reason },
+        fault => {
+            let (field, reason) = fault.into_field();
+            RuleFileError::Field { file: file.to_owned(), line: locate::line_of(text, &field), field, reason }
         }
-    }
-    out
+    })
 }
 
 fn check(raw: RawRules) -> Result<Rules, Wrong> {

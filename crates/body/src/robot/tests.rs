@@ -99,7 +99,7 @@ fn an_srdf_says_which_links_may_touch_each_other() {
 fn refusals_name_file_field_and_remedy() {
     insta::assert_snapshot!(refused("dermis-robot/1", "dermis-robot/9"), @r#"robot file arm.toml: field `schema`: is "dermis-robot/9" where this program reads "dermis-robot/1""#);
     insta::assert_snapshot!(refused("base = \"fore\"", "base = \"hand\""), @r#"robot file arm.toml: field `base`: "hand" is no link of arm.urdf"#);
-    insta::assert_snapshot!(refused("timeout = 0.5", "timout = 0.5"), @"robot file arm.toml: unknown key `skins.1.timout`; remove it or correct its spelling (known here: schema, name, urdf, srdf, base, skins; in skins: name, skin, taxels, namespace, frame_id, mount, timeout, rate)");
+    insta::assert_snapshot!(refused("timeout = 0.5", "timout = 0.5"), @"robot file arm.toml: unknown key `skins[1].timout`; remove it or correct its spelling (known here: schema, name, urdf, srdf, base, skins; in skins: name, skin, taxels, namespace, frame_id, mount, timeout, rate)");
     insta::assert_snapshot!(refused("timeout = 0.5", "timeout = -1"), @"robot file arm.toml: field `skins[1].timeout`: is -1 s and must be from 0.001 to 3600");
     insta::assert_snapshot!(refused("timeout = 0.5", "rate = 0"), @"robot file arm.toml: field `skins[1].rate`: is 0 Hz and must be from 0.001 to 1000000");
     insta::assert_snapshot!(refused("parent = \"fore\"", "parent = \"hand\""), @r#"robot file arm.toml: field `skins[0].mount.parent`: "hand" is no link of the URDF; correct the name"#);

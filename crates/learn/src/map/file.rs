@@ -199,7 +199,7 @@ impl LabelMap {
     ///
     /// As [`load`](Self::load).
     pub fn from_toml(text: &str, file: &str) -> Result<Self, LearnError> {
-        let map: Self = toml::from_str(text).map_err(|e| LearnError::toml(text, file, &e))?;
+        let map: Self = LearnError::of_toml(text, file)?;
         let wrong = |field: &str, reason: String| {
             Err(LearnError::Config { file: file.to_owned(), field: field.to_owned(), reason })
         };

@@ -242,10 +242,10 @@ fn refusals_name_file_and_field() {
         LabelMap::from_toml(&MAP.replacen(from, to, 1), "labels.toml").unwrap_err().to_string()
     };
     insta::assert_snapshot!(refused("labels/1", "labels/9"), @r#"labels.toml: field `schema`: is "dermis-labels/9" where this program reads "dermis-labels/1""#);
-    insta::assert_snapshot!(refused("tip_radius", "tip_radios"), @"labels.toml: field `(line 10)`: unknown field `tip_radios`, expected one of `topic`, `tool`, `base`, `tip`, `tip_radius`, `time_offset`");
+    insta::assert_snapshot!(refused("tip_radius", "tip_radios"), @"labels.toml: field `robot.tip_radios`: unknown field `tip_radios`, expected one of `topic`, `tool`, `base`, `tip`, `tip_radius`, `time_offset`");
     insta::assert_snapshot!(refused("0.38268343236508984", "0.5"), @"labels.toml: field `skin.pose.orientation`: is [0.0, 0.5, 0.0, 0.9238795325112867] of length 1.0505 and must be a unit quaternion x, y, z, w");
     insta::assert_snapshot!(refused("off = 0.05", "off = 0.5"), @"labels.toml: field `contact.off`: is 0.5 N with contact.on 0.1 N: 0 < off ≤ on");
-    insta::assert_snapshot!(refused("exerted_on = \"tip\"", "exerted_on = \"sensor\""), @"labels.toml: field `(line 16)`: unknown variant `sensor`, expected `tip` or `skin`");
+    insta::assert_snapshot!(refused("exerted_on = \"tip\"", "exerted_on = \"sensor\""), @"labels.toml: field `force.exerted_on`: unknown variant `sensor`, expected `tip` or `skin`");
     insta::assert_snapshot!(refused("tip = [0.0, 0.01, 0.05]", "tip = [0.0, nan, 0.05]"), @"labels.toml: field `robot.tip`: is [0.0, NaN, 0.05]: metres and seconds of a rig are finite and small");
 }
 

@@ -53,7 +53,7 @@ impl Settings {
         let Some(path) = path else { return Ok(Self::default()) };
         let text = dermis_io::read_text(path, dermis_io::TEXT).map_err(LearnError::io(path, "read"))?;
         let file = path.display().to_string();
-        let settings: Self = toml::from_str(&text).map_err(|e| LearnError::toml(&text, &file, &e))?;
+        let settings: Self = LearnError::of_toml(&text, &file)?;
         settings.pipeline.validate(&file)?;
         if !(settings.least.is_finite() && settings.least > 0.0 && settings.most > 0) {
             return Err(LearnError::Config {

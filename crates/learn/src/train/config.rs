@@ -311,7 +311,7 @@ impl TrainConfig {
     ///
     /// [`LearnError::Config`] names the field, or line and column.
     pub fn from_toml(text: &str, file: &str) -> Result<Self, LearnError> {
-        let config: Self = toml::from_str(text).map_err(|e| LearnError::toml(text, file, &e))?;
+        let config: Self = LearnError::of_toml(text, file)?;
         config.validate(file)?;
         Ok(config)
     }
@@ -366,7 +366,7 @@ mod tests {
         let message = |text: &str| TrainConfig::from_toml(text, "c.toml").unwrap_err().to_string();
         insta::assert_snapshot!(message("targets = [\"position.x\"]"), @"c.toml: field `targets`: position.x and position.y only make sense together");
         insta::assert_snapshot!(message("targets = [\"torque\"]"), @r#"c.toml: field `targets[0]`: is "torque" and must be one of position.x, position.y, position.z, force.x, force.y, force.z, force.normal, contact, map.normal, map.force, map.displacement, signal"#);
-        insta::assert_snapshot!(message("targets = [\"contact\"]\n[training]\nepoch = 3"), @"c.toml: field `(line 3)`: unknown field `epoch`, expected one of `epochs`, `batch`, `learning_rate`, `weight_decay`, `noise`, `channel_noise`, `momentum`, `seed`");
+        insta::assert_snapshot!(message("targets = [\"contact\"]\n[training]\nepoch = 3"), @"c.toml: field `training.epoch`: unknown field `epoch`, expected one of `epochs`, `batch`, `learning_rate`, `weight_decay`, `noise`, `channel_noise`, `momentum`, `seed`");
         insta::assert_snapshot!(message("targets = [\"contact\"]\n[network]\nmembers = 0"), @"c.toml: field `network.members`: is 0 and must be 1 to 64");
     }
 

@@ -21,7 +21,7 @@ fn refusals_name_file_field_and_remedy() {
     insta::assert_snapshot!(refused("count = 4", "count = 4000000000"), @"plan plan.toml: field `steps`: make 8000000016 contacts; 1000000 at most fit a recording");
     insta::assert_snapshot!(refused("repeats = 2", "repeats = 0"), @"plan plan.toml: field `steps[1].repeats`: is 0 and must be at least 1");
     insta::assert_snapshot!(refused("seed = 3", "seed = \"three\""), @r#"plan plan.toml: field `seed`: invalid type: string "three", expected u64"#);
-    insta::assert_snapshot!(refused("seed = 3", "seed ="), @"plan plan.toml: field `line 4`: string values must be quoted, expected literal string");
+    insta::assert_snapshot!(refused("seed = 3", "seed ="), @"plan plan.toml: field `line 4, column 7`: string values must be quoted, expected literal string");
 }
 
 const MORE: &str = r#"
