@@ -31,13 +31,12 @@ mod run_conv;
 pub use candidates::{Candidate, ModelChoice};
 pub use choose::{Choice, Judged};
 pub use config::{
-    Activation, ChannelNoise, ConvConfig, FeatureChoice, InputForm, NetworkConfig, Scaling, TrainConfig,
-    TrainingConfig,
+    ChannelNoise, ConvConfig, FeatureChoice, InputForm, NetworkConfig, Scaling, TrainConfig, TrainingConfig,
 };
+pub use dermis_regress::dense::Activation;
 pub use image::ImageConfig;
 pub use kept::{States, fit_kept};
 pub use layer::Layer;
-pub(crate) use network::Product;
 pub use network::{Batch, Mlp, Progress, fit};
 pub use prepare::Preparation;
 pub use processor::Processor;

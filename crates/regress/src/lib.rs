@@ -4,9 +4,10 @@
 //! Everything works on tables of `f64`, row by row ([`Rows`]), one row a reading of a skin. [`Svr`] is ε-support vector
 //! regression with radial basis functions for any number of outputs over the same inputs. Where many fits share their inputs
 //! — the greedy search for sensing elements adds one column at a time — [`solve`] takes the kernel matrix itself, so that
-//! outputs and folds share it, which the crates at hand do not offer.
+//! outputs and folds share it, which the crates at hand do not offer. [`dense`] has the numbers of networks, whose fitting `dermis-learn` leads.
 
 mod choice;
+pub mod dense;
 mod error;
 mod folds;
 mod gaussian;

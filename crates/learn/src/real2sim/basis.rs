@@ -1,11 +1,10 @@
 //! The few shapes that maps are sums of.
 
+use dermis_regress::dense::Product;
 use nalgebra::{DMatrix, SymmetricEigen};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
-
-use crate::train::Product;
 
 /// Shapes at most.
 const MOST: usize = 240;

@@ -5,6 +5,7 @@ mod checks;
 use std::path::{Path, PathBuf};
 
 use dermis_inference::{Baseline, FeatureConfig, Missing, Taps};
+use dermis_regress::dense::Activation;
 use dermis_skin::ImageGrid;
 use serde::{Deserialize, Serialize};
 
@@ -140,19 +141,6 @@ pub enum Scaling {
     Channel,
     /// One for all: the root mean square of those. Keeps the ratios between channels.
     Common,
-}
-
-/// Non-linearity of the hidden layers.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Activation {
-    /// x · logistic(x).
-    #[default]
-    Silu,
-    /// Hyperbolic tangent.
-    Tanh,
-    /// Positive part.
-    Relu,
 }
 
 /// What the first layer sees.

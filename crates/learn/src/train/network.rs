@@ -7,12 +7,13 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use dermis_inference::onnx::{GraphBuilder, OnnxError, Value};
+use dermis_regress::dense::{self, Activation, Adam, Product};
 use rand::seq::SliceRandom;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use super::config::{Activation, NetworkConfig, TrainingConfig};
+use super::config::{NetworkConfig, TrainingConfig};
 use super::prepare::Preparation;
 use crate::LearnError;
 
@@ -176,12 +177,7 @@ impl Mlp {
             // xᵀ · g.
             let product = Product { rows: width, inner: rows, columns: outputs, keep: false };
             product.run(x, [1, width], &by_output, [outputs, 1], &mut gradients[2 * layer]);
-            gradients[2 * layer + 1].fill(0.0);
-            for row in by_output.chunks_exact(outputs) {
-                for (sum, g) in gradients[2 * layer + 1].iter_mut().zip(row) {
-                    *sum += g;
-                }
-            }
+            dense::sum_rows(&by_output, &mut gradients[2 * layer + 1]);
             if let Some(before) = layer.checked_sub(1) {
                 // g · wᵀ.
                 let mut by_input = vec![0.0; rows * width];
@@ -193,9 +189,7 @@ impl Mlp {
                     [1, outputs],
                     &mut by_input,
                 );
-                for (g, slope) in by_input.iter_mut().zip(&layers.slopes[before]) {
-                    *g *= slope;
-                }
+                dense::multiply(&mut by_input, &layers.slopes[before]);
                 by_output = by_input;
             }
         }
@@ -211,7 +205,8 @@ impl Mlp {
     ) -> f32 {
         self.forward(inputs, layers);
         let answers = layers.values.last().map_or(&[][..], Vec::as_slice);
-        let (loss, by_output) = loss(answers, targets, weights, self.sizes[self.sizes.len() - 1], logit);
+        let (loss, by_output) =
+            dense::loss(answers, (targets, weights), self.sizes[self.sizes.len() - 1], logit);
         self.backward(inputs, layers, by_output);
         loss
     }
@@ -289,11 +284,6 @@ struct Layers {
     /// Gradient of the loss by every parameter.
     gradients: Vec<Vec<f32>>,
 }
-
-pub(crate) use product::Product;
-
-mod activation;
-mod product;
 
 /// A network on its way, and what is needed to go on exactly where it was.
 #[derive(Debug, Clone, PartialEq)]
@@ -430,65 +420,11 @@ fn step(
     let rate = training.learning_rate * 0.5 * (1.0 + (std::f64::consts::PI * progress.min(1.0)).cos());
     for (i, gradient) in layers.gradients.iter().enumerate() {
         let decay = if i.is_multiple_of(2) { training.weight_decay } else { 0.0 };
-        adam(
-            &mut state.network.parameters[i],
-            gradient,
-            &mut state.first[i],
-            &mut state.second[i],
-            state.steps,
-            rate,
-            [decay, training.momentum],
-        );
+        let moments = [&mut state.first[i][..], &mut state.second[i][..]];
+        let adam = Adam { step: state.steps, rate, decay, momentum: training.momentum };
+        adam.step(&mut state.network.parameters[i], gradient, moments);
     }
     loss
-}
-
-/// Mean over samples of the summed squared errors, cross entropy for a logit, and its gradient by the outputs.
-/// Unknown targets do not count.
-fn loss(answers: &[f32], targets: &[f32], weights: &[f32], outputs: usize, logit: bool) -> (f32, Vec<f32>) {
-    let share = outputs as f32 / answers.len() as f32;
-    let mut sum = 0.0;
-    let slopes = answers
-        .iter()
-        .zip(targets)
-        .enumerate()
-        .map(|(i, (z, t))| {
-            let weight = weights.get(i).copied().unwrap_or(1.0);
-            if t.is_nan() {
-                0.0
-            } else if logit && i % outputs == outputs - 1 {
-                // ln(1 + e^z) − t z, written so that no exponential overflows.
-                sum += weight * (z.max(0.0) + (-z.abs()).exp().ln_1p() - t * z);
-                weight * (1.0 / (1.0 + (-z).exp()) - t) * share
-            } else {
-                sum += weight * (z - t) * (z - t);
-                2.0 * weight * (z - t) * share
-            }
-        })
-        .collect();
-    (sum * share, slopes)
-}
-
-fn adam(
-    parameters: &mut [f32],
-    gradient: &[f32],
-    first: &mut [f32],
-    second: &mut [f32],
-    step: u64,
-    rate: f64,
-    [decay, momentum]: [f64; 2],
-) {
-    // Decays of the two moments.
-    let beta = [momentum as f32, 0.999];
-    let step = i32::try_from(step).unwrap_or(i32::MAX);
-    let [c1, c2] = beta.map(|b| 1.0 - f64::from(b).powi(step));
-    let (scale, root) = ((rate / c1) as f32, (1.0 / c2.sqrt()) as f32);
-    let keep = (1.0 - rate * decay) as f32;
-    for (((p, g), m), v) in parameters.iter_mut().zip(gradient).zip(first).zip(second) {
-        *m += (1.0 - beta[0]) * (g - *m);
-        *v += (1.0 - beta[1]) * (g * g - *v);
-        *p = *p * keep - scale * *m / (v.sqrt() * root + 1e-8);
-    }
 }
 
 #[cfg(test)]
