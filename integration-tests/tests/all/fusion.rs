@@ -427,7 +427,8 @@ fn what_the_body_says_is_true_and_a_skin_that_is_killed_is_missed() {
     let sum: f64 = message.contacts.iter().map(|c| c.contact.force.z).sum();
     assert!((sum - message.net_wrench.force.z).abs() < 1e-9, "z of the wrist is z of the body");
     assert!(stop.lock().unwrap().iter().any(|m| m.data), "it was stopped");
-    assert!(!blind.lock().unwrap().last().is_some_and(|m| m.data), "it feels");
+    // On a machine that is busy with other tests, a skin may be late, which the rule rightly takes for touched.
+    wait_for("the body feels", || blind.lock().unwrap().last().filter(|m| !m.data).map(|_| ()));
 
     skin.kill();
     let status = |message: &BodyContacts| message.skins.iter().find(|s| s.skin == "palm").map(|s| s.status);
