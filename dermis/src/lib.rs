@@ -249,7 +249,7 @@ fn parse(arguments: &[String]) -> Result<Command, String> {
     Cli::try_parse_from(all).map(|cli| cli.command).map_err(|error| {
         let text = error.to_string();
         let sentence = text.split("\nUsage:").next().unwrap_or_default();
-        let sentence = sentence.split_whitespace().collect::<Vec<_>>().join(" ");
+        let sentence = dermis_io::one_line(sentence);
         format!("`dermis {}`: {}", arguments.join(" "), sentence.trim_start_matches("error: "))
     })
 }

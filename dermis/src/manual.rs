@@ -156,7 +156,7 @@ fn sentence(text: &str) -> String {
 
 /// A text in one cell of a table.
 fn cell(text: &str) -> String {
-    sentence(&text.split_whitespace().collect::<Vec<_>>().join(" ")).replace('|', "\\|")
+    sentence(&dermis_io::one_line(text)).replace('|', "\\|")
 }
 
 /// Angle brackets outside of code would be HTML.

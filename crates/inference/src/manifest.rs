@@ -201,7 +201,7 @@ impl Manifest {
                 ManifestError::Parse { file: file.to_owned(), field, reason }
             }
         };
-        let table: toml::Table = dermis_io::toml::parse(text).map_err(wrong)?;
+        let table = dermis_io::toml::table(text).map_err(wrong)?;
         // The schema comes first: a newer file may have any field.
         check_schema(table.get("schema"), file)?;
         let manifest: Self = dermis_io::toml::of_table(table).map_err(wrong)?;

@@ -378,7 +378,7 @@ fn check_len(got: usize, declared: usize) -> Result<(), ModelError> {
 }
 
 fn refusal(runtime: String, reason: &str) -> ModelError {
-    ModelError::Refused { runtime, reason: reason.split_whitespace().collect::<Vec<_>>().join(" ") }
+    ModelError::Refused { runtime, reason: dermis_io::one_line(reason) }
 }
 
 /// A graph in the embedded runtime, ready to run.

@@ -215,7 +215,7 @@ impl Native {
         // file name in a folder that only the user or the system's administrator writes to, and its initialisers
         // have no preconditions.
         let library = unsafe { libloading::Library::new(path) }
-            .map_err(|e| format!("cannot be loaded: {}", one_line(&e.to_string())))?;
+            .map_err(|e| format!("cannot be loaded: {}", dermis_io::one_line(&e.to_string())))?;
         // SAFETY: this is the documented C signature of ONNX Runtime's only entry point (onnxruntime_c_api.h).
         let entry =
             unsafe { library.get::<unsafe extern "system" fn() -> *const OrtApiBase>(b"OrtGetApiBase\0") }
@@ -250,10 +250,6 @@ fn supported(version: &str) -> Result<(), String> {
         }
         _ => Err(format!("is version {version}, which this program does not know")),
     }
-}
-
-fn one_line(text: &str) -> String {
-    text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
 /// Libraries to try, in order; an error is a place that holds none.

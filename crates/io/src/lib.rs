@@ -26,6 +26,12 @@ pub mod yaml;
 pub use file::{open, open_at_most, read, read_text};
 pub use machine::{Machine, machine};
 
+/// What another library says over several lines, for a sentence of ours.
+#[must_use]
+pub fn one_line(text: &str) -> String {
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
 /// \[bytes\] of a file that people write: descriptions, plans, maps, configurations.
 pub const TEXT: u64 = 4 << 20;
 /// \[bytes\] of a file that a program of ours wrote as text: a report card, a manifest, a summary.

@@ -7,12 +7,14 @@
 //! for a missing one, so that it is what an error names first.
 //!
 //! Values are read through `erased_serde`: what follows paths is compiled once, here, and not again for every type of every file, which
-//! took a minute of CPU time of a cold build. Cost: a virtual call for each value.
+//! took three quarters of a minute of CPU time of a cold build. Cost: a virtual call for each value.
 
 use erased_serde::{Deserializer as Erased, Error as ErasedError};
 use serde::de::DeserializeOwned;
 use serde_path_to_error::Track;
 use toml::{Table, Value};
+
+use crate::one_line;
 
 /// What is wrong with a text.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -78,13 +80,22 @@ impl Fault {
     }
 }
 
+/// A text as it stands there, for who looks at some of its keys before it is a value.
+///
+/// # Errors
+///
+/// [`Fault::Syntax`] where it is no TOML.
+pub fn table(text: &str) -> Result<Table, Fault> {
+    text.parse().map_err(|error| Fault::syntax(text, &error))
+}
+
 /// A text as a value.
 ///
 /// # Errors
 ///
 /// [`Fault`] says what is wrong where.
 pub fn parse<T: DeserializeOwned>(text: &str) -> Result<T, Fault> {
-    of_table(text.parse().map_err(|error| Fault::syntax(text, &error))?)
+    of_table(table(text)?)
 }
 
 /// A table that was read before, or a part of one, as a value.
@@ -137,10 +148,6 @@ fn with_indices(path: &str) -> String {
         }
     }
     out
-}
-
-fn one_line(text: &str) -> String {
-    text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
 #[cfg(test)]

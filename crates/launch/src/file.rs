@@ -208,7 +208,7 @@ pub(crate) fn parse(text: &str, yaml: bool) -> Result<Value, String> {
         .add_source(config::File::from_str(text, format))
         .build()
         .and_then(config::Config::try_deserialize)
-        .map_err(|e| one_line(&e.to_string()))
+        .map_err(|e| dermis_io::one_line(&e.to_string()))
 }
 
 /// A part of a tree as what it should be, and the keys of it that are not right. Every field that is not is reported, with a path that
@@ -232,7 +232,7 @@ pub(crate) fn typed<T: DeserializeOwned>(
             ("", inner) => inner.to_owned(),
             (at, inner) => format!("{at}.{inner}"),
         };
-        let reason = one_line(&error.inner().to_string());
+        let reason = dermis_io::one_line(&error.inner().to_string());
         faults.push(LaunchError::Field { path: path.to_owned(), field, reason });
         let left_out = without(&mut value, error.path());
         bad.extend(left_out.clone());
@@ -258,8 +258,4 @@ fn without(value: &mut Value, path: &serde_path_to_error::Path) -> Option<String
     at.as_object_mut()?.remove(key)?;
     let Some(Segment::Map { key }) = segments.first() else { return None };
     Some(key.clone())
-}
-
-pub(crate) fn one_line(text: &str) -> String {
-    text.split_whitespace().collect::<Vec<_>>().join(" ")
 }

@@ -111,7 +111,7 @@ impl Wiring {
     ///
     /// # Errors
     ///
-    /// [`LearnError`] names the file and line.
+    /// [`LearnError`] names the file and the field, or line and column.
     pub fn load(path: impl AsRef<Path>) -> Result<Self, LearnError> {
         let path = path.as_ref();
         let text = dermis_io::read_text(path, dermis_io::TEXT).map_err(LearnError::io(path, "read"))?;

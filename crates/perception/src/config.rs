@@ -341,10 +341,10 @@ impl Config {
                 .map_err(|reason| ConfigError::Read { path: path.to_owned(), reason })?;
         }
         let format = if yaml { ::config::FileFormat::Yaml } else { ::config::FileFormat::Toml };
-        let tree = ::config::Config::builder()
-            .add_source(::config::File::from_str(text, format))
-            .build()
-            .map_err(|e| ConfigError::Read { path: path.to_owned(), reason: one_line(&e.to_string()) })?;
+        let tree =
+            ::config::Config::builder().add_source(::config::File::from_str(text, format)).build().map_err(
+                |e| ConfigError::Read { path: path.to_owned(), reason: dermis_io::one_line(&e.to_string()) },
+            )?;
         Self::read(tree, path)
     }
 
@@ -374,13 +374,9 @@ impl Config {
                 path if path == "." => "(top level)".into(),
                 path => path,
             },
-            reason: one_line(&e.to_string()),
+            reason: dermis_io::one_line(&e.to_string()),
         })
     }
-}
-
-fn one_line(text: &str) -> String {
-    text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
 #[cfg(test)]

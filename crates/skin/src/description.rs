@@ -141,7 +141,7 @@ impl SkinDescription {
         let text = dermis_io::read_text(path, dermis_io::TEXT)
             .map_err(|source| SkinError::Read { path: path.to_owned(), source })?;
         let wrong = |fault| SkinError::parse(&file(), fault);
-        let mut table: toml::Table = dermis_io::toml::parse(&text).map_err(wrong)?;
+        let mut table = dermis_io::toml::table(&text).map_err(wrong)?;
         table.retain(|key, _| key == "rate");
         let Stated { rate } = dermis_io::toml::of_table(table).map_err(wrong)?;
         let [low, high] = crate::limits::RATE;

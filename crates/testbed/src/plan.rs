@@ -256,7 +256,7 @@ impl Plan {
         let wrong = |field: &str, reason: &str| TestbedError::Plan {
             file: file.to_owned(),
             field: field.to_owned(),
-            reason: reason.trim().replace('\n', " "),
+            reason: reason.to_owned(),
         };
         let read: PlanFile = dermis_io::toml::parse(text).map_err(|fault| {
             let (field, reason) = fault.into_field();

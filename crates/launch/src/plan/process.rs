@@ -293,7 +293,7 @@ fn readiness(ready: &file::Ready, at: &At, folder: &Path, faults: &mut Faults) -
         (None, Some(Text(line))) => match RegexBuilder::new(line).size_limit(PATTERN).build() {
             Ok(pattern) => Some(Ready::Line { pattern, within }),
             Err(error) => {
-                let error = file::one_line(&error.to_string());
+                let error = dermis_io::one_line(&error.to_string());
                 faults.push(at.refuse("ready.line", format!("is no regular expression: {error}")));
                 None
             }
