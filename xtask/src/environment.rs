@@ -91,6 +91,11 @@ pub fn taxim(root: &Path) -> Result<PathBuf> {
     venv(&home(root).join("taxim"), &root.join("benches/python/taxim.lock.txt"))
 }
 
+/// Python with PyTorch, in which the thesis' networks on pictures of the soft thumb learn; for two cores.
+pub fn pictures(root: &Path) -> Result<PathBuf> {
+    venv(&home(root).join("pictures"), &root.join("benches/python/pictures.lock.txt"))
+}
+
 /// Whether what Debian's `packages` bring is `there`, if need be after installing them.
 fn debian(packages: &[&str], there: impl Fn() -> bool) -> bool {
     let ends_well = |c: &mut Command| {

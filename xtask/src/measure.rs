@@ -3,6 +3,8 @@
 use std::hash::{Hash, Hasher};
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
@@ -21,6 +23,7 @@ mod hapdefx;
 mod insight;
 mod limb;
 mod physics;
+mod pictures;
 mod placement;
 mod recorded;
 mod slip;
@@ -91,6 +94,9 @@ pub enum Measurement {
     /// Table 6.6 of the thesis on the simulated soft thumb, reduced: force maps by a network for each of five ways to spread a ball's force.
     /// Written to benches/results/insight-maps.json.
     InsightMaps,
+    /// The thesis' residual network on pictures of the simulated soft thumb (ResNet-18), and a small one, learned from the same pictures and
+    /// measured on the frames of `insight`. Written to benches/results/insight-pictures.json, which says what is reduced.
+    InsightPictures(pictures::Options),
     /// Tables 4.3 to 4.5 of the thesis on the simulated conductive panel, written to benches/results/ert-tables.json; the result says
     /// what is reduced.
     ErtTables(ert::Sizes),
@@ -133,6 +139,7 @@ impl Measurement {
             Self::Panel => &["ert-inversion"],
             Self::Insight => &["insight-accuracy", "insight-fovea", "insight-large-tip", "insight-contacts"],
             Self::InsightMaps => &["insight-maps"],
+            Self::InsightPictures(_) => &["insight-pictures"],
             Self::ErtTables(_) => &["ert-tables"],
             Self::Validation => &physics::VALIDATIONS,
             Self::Bounds => &physics::BOUNDS,
@@ -162,6 +169,7 @@ pub fn run(root: &Path, measurement: &Measurement) -> Result<()> {
         Measurement::Panel => ert::inversion(root)?,
         Measurement::Insight => insight::accuracy(root)?,
         Measurement::InsightMaps => insight::maps(root)?,
+        Measurement::InsightPictures(options) => pictures::networks(root, options)?,
         Measurement::ErtTables(sizes) => ert::tables(root, sizes)?,
         Measurement::Validation => physics::validation(root)?,
         Measurement::Bounds => physics::bounds(root)?,
@@ -242,6 +250,33 @@ fn collected(collect: &mut Command, bag: &Path) -> Result<()> {
         bail!("collecting {} was interrupted: run the measurement again", bag.display());
     }
     Ok(std::fs::rename(&partial, bag)?)
+}
+
+/// What `work` makes of each item, in their order, of so many at once as `jobs` says; the first error where there are any.
+fn at_once<T: Sync, R: Send>(
+    jobs: usize,
+    items: &[T],
+    work: impl Fn(&T) -> Result<R> + Sync,
+) -> Result<Vec<R>> {
+    let (next, done) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
+    std::thread::scope(|scope| {
+        for _ in 0..jobs.clamp(1, items.len().max(1)) {
+            scope.spawn(|| {
+                loop {
+                    let index = next.fetch_add(1, Ordering::Relaxed);
+                    let Some(item) = items.get(index) else { break };
+                    let result = work(item);
+                    if result.is_err() {
+                        next.store(items.len(), Ordering::Relaxed);
+                    }
+                    done.lock().unwrap_or_else(PoisonError::into_inner).push((index, result));
+                }
+            });
+        }
+    });
+    let mut done = done.into_inner().unwrap_or_else(PoisonError::into_inner);
+    done.sort_by_key(|(index, _)| *index);
+    done.into_iter().map(|(_, result)| result).collect()
 }
 
 /// CPU seconds of all children that ended so far.
@@ -459,6 +494,17 @@ fn explained(value: &Value, outline: &str) -> Value {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn work_at_once_keeps_its_order_and_its_first_error() {
+        let items: Vec<u32> = (0..20).collect();
+        for jobs in [0, 1, 3, 50] {
+            assert_eq!(at_once(jobs, &items, |n| Ok(n * n)).unwrap()[7], 49);
+            let refused = at_once(jobs, &items, |n| if *n == 5 { bail!("five") } else { Ok(*n) });
+            assert_eq!(refused.unwrap_err().to_string(), "five");
+        }
+        assert!(at_once(2, &[], |_: &u32| Ok(())).unwrap().is_empty());
+    }
 
     #[test]
     fn what_is_printed_is_read_in_one_line_and_in_many() {

@@ -3,6 +3,7 @@
 //! Frames are answered in their order, as a node would; errors are summed up over contacts and by force, beside the
 //! Cramér–Rao bound on the same contacts and, where they are requested, beside other ways that learn from recordings.
 
+mod answers;
 mod beside;
 
 use std::path::{Path, PathBuf};
@@ -16,12 +17,13 @@ use dermis_learn::{
     frame_bounds,
 };
 use dermis_model::{ForwardModel, Unknowns};
-use dermis_skin::SkinDescription;
+use dermis_skin::{Estimator, SkinDescription};
 use serde::{Deserialize, Serialize, Serializer};
 use serde_json::json;
 
 use crate::{Families, LeftOut, Progress};
 
+use answers::Answers;
 pub use beside::BaselineComparison;
 
 /// \[m\] of width below which presses lie on a line.
@@ -35,11 +37,15 @@ pub struct Request {
     #[arg(long)]
     pub skin: PathBuf,
     /// Model bundle; several may give different outputs.
-    #[arg(long, required_unless_present = "invert")]
+    #[arg(long, required_unless_present_any = ["invert", "answers"])]
     pub model: Vec<PathBuf>,
     /// Without a bundle: find the contacts on the skin's forward model, as a node does that has none.
     #[arg(long, conflicts_with_all = ["model", "held_out", "beside"])]
     pub invert: bool,
+    /// Without a bundle: what another program made of the frames of the bags. Each line is of one frame:
+    /// `{"stamp_ns": 12, "contacts": [{"position": [x, y, z], "force": [x, y, z]}]}`, in metres and newtons in the link frame.
+    #[arg(long, value_name = "FILE.jsonl", conflicts_with_all = ["model", "invert", "held_out", "unattended"])]
+    pub answers: Option<PathBuf>,
     /// Only what the (first) model did not see in training, as its data card says; for bags that it was trained on.
     #[arg(long)]
     pub held_out: bool,
@@ -82,6 +88,7 @@ impl Default for Request {
             skin: PathBuf::new(),
             model: Vec::new(),
             invert: false,
+            answers: None,
             held_out: false,
             split: None,
             unattended: false,
@@ -154,9 +161,10 @@ impl Serialize for Findings {
 /// Where skin, bundles or bags cannot be read. A requirement that is missed is a finding.
 pub fn evaluate(options: &Request, families: &Families, progress: &dyn Progress) -> Result<Findings> {
     let skin = SkinDescription::load(&options.skin)?;
-    let mut estimator = match options.invert {
-        true => families.inverting(&skin)?,
-        false => families.estimator(&skin, &options.model)?,
+    let mut estimator: Box<dyn Estimator> = match &options.answers {
+        Some(file) => Box::new(Answers::read(file, &skin.surface())?),
+        None if options.invert => families.inverting(&skin)?,
+        None => families.estimator(&skin, &options.model)?,
     };
     let mut how = options.labels.options()?;
     how.tare_when_idle = !options.unattended;

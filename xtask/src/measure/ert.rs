@@ -11,8 +11,6 @@
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Mutex, PoisonError};
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
@@ -25,7 +23,7 @@ mod pipeline;
 mod variance;
 
 use self::networks::{MAPS, THESIS, configuration, structure};
-use super::{collected, evaluation, fingerprint, read_toml, scratch};
+use super::{at_once, collected, evaluation, fingerprint, read_toml, scratch};
 use crate::programs;
 use crate::record::{commit, sign, write};
 use crate::run::run as execute;
@@ -377,33 +375,6 @@ impl Work<'_> {
     }
 }
 
-/// What `work` makes of each item, in their order, of so many at once as `jobs` says; the first error where there are any.
-fn at_once<T: Sync, R: Send>(
-    jobs: usize,
-    items: &[T],
-    work: impl Fn(&T) -> Result<R> + Sync,
-) -> Result<Vec<R>> {
-    let (next, done) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
-    std::thread::scope(|scope| {
-        for _ in 0..jobs.clamp(1, items.len().max(1)) {
-            scope.spawn(|| {
-                loop {
-                    let index = next.fetch_add(1, Ordering::Relaxed);
-                    let Some(item) = items.get(index) else { break };
-                    let result = work(item);
-                    if result.is_err() {
-                        next.store(items.len(), Ordering::Relaxed);
-                    }
-                    done.lock().unwrap_or_else(PoisonError::into_inner).push((index, result));
-                }
-            });
-        }
-    });
-    let mut done = done.into_inner().unwrap_or_else(PoisonError::into_inner);
-    done.sort_by_key(|(index, _)| *index);
-    done.into_iter().map(|(_, result)| result).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -440,17 +411,6 @@ mod tests {
         let record = reduced(&root(), &sizes(0.1, 5, &[])).unwrap();
         assert_eq!(record["places_of_each_number"], json!({ "here": 30, "thesis": 3000 }));
         assert_eq!(record["random_presses"], json!({ "here": 800, "thesis": 200_000 }));
-    }
-
-    #[test]
-    fn work_at_once_keeps_its_order_and_its_first_error() {
-        let items: Vec<u32> = (0..20).collect();
-        for jobs in [0, 1, 3, 50] {
-            assert_eq!(at_once(jobs, &items, |n| Ok(n * n)).unwrap()[7], 49);
-            let refused = at_once(jobs, &items, |n| if *n == 5 { bail!("five") } else { Ok(*n) });
-            assert_eq!(refused.unwrap_err().to_string(), "five");
-        }
-        assert!(at_once(2, &[], |_: &u32| Ok(())).unwrap().is_empty());
     }
 
     #[test]

@@ -16,7 +16,7 @@ use crate::programs;
 use crate::record;
 use crate::run::run as execute;
 
-const SKIN: &str = "launch/skins/insight-thumb.toml";
+pub(super) const SKIN: &str = "launch/skins/insight-thumb.toml";
 const MODEL: &str = "models/insight-thumb";
 /// Plan, record, what is less than in the thesis or than was requested; in the order in which they are measured.
 const PLANS: [(&str, &str, &str); 4] = [
@@ -34,7 +34,7 @@ const PLANS: [(&str, &str, &str); 4] = [
     ),
 ];
 /// \[N\] at which bins begin.
-const BINS: &str = "0.03,0.1,0.3,1";
+pub(super) const BINS: &str = "0.03,0.1,0.3,1";
 
 /// Measures, and writes each result beside the others as soon as it is there.
 pub(super) fn accuracy(root: &Path) -> Result<Value> {
@@ -73,7 +73,7 @@ const PROFILES: [(&str, [f64; 5]); 5] = [
     ("laplacian1", [0.6, 0.08, 10.2, 2.4, 4.2]),
     ("laplacian2", [0.7, 0.12, 13.7, 2.2, 3.5]),
 ];
-const MAP_PLAN: &str = "launch/plans/insight-thumb-train.toml";
+pub(super) const MAP_PLAN: &str = "launch/plans/insight-thumb-train.toml";
 const MAP_CONFIG: &str = "launch/train/insight-thumb-map.toml";
 
 /// One network for each way to spread a force (Table 6.6 of the thesis), each by itself at the same held-out locations.
@@ -150,7 +150,7 @@ fn seed(root: &Path, plan: &str) -> Result<Option<i64>> {
 }
 
 /// What tables show, in millimetres, newtons and degrees: by number of contacts and force.
-fn summary(found: &Value) -> Result<Value> {
+pub(super) fn summary(found: &Value) -> Result<Value> {
     let mut numbers = serde_json::Map::new();
     for against in found["against_bound"].as_array().context("there are no bounds")? {
         let quantity = against["quantity"].as_str().context("a bound has no quantity")?;

@@ -17,7 +17,8 @@ use toml::{Table, Value as Toml};
 use super::figures::{ERRORS, read};
 use super::networks::{MAPS, THESIS, configuration};
 use super::variance::{Cell, effects};
-use super::{LIGHTEST, SKIN, TRANSFER, Work, at_once, evaluation, read_toml};
+use super::{LIGHTEST, SKIN, TRANSFER, Work, evaluation, read_toml};
+use crate::measure::at_once;
 use crate::run::run as execute;
 
 /// The plan of patterns that nothing is learned from.
