@@ -31,7 +31,6 @@ import struct
 import sys
 import tempfile
 import time
-import warnings
 from pathlib import Path
 
 import numpy as np
@@ -193,7 +192,8 @@ class Data:
         leading = 0
         for row, stamp in zip(rows, stamps):
             phase, location, contacts = truths[stamp]
-            self.locations[row] = location
+            # Bags count their locations each from its own first one.
+            self.locations[row] = len(self.references) << 32 | location
             if len(contacts) == 1 and np.isfinite(contacts[0]).all():
                 self.truth[row], self.touched[row], self.usable[row] = contacts[0], True, True
             self.usable[row] |= not contacts and phase != UNKNOWN
@@ -304,7 +304,7 @@ class Task:
 
     def __init__(self, data, bags, options):
         rng = np.random.default_rng(options.seed)
-        rows = np.concatenate([data.rows[bag] for bag in bags])[:: options.every]
+        rows = np.concatenate([data.rows[bag] for bag in bags])
         rows = rows[data.usable[rows]]
         touched = data.touched[rows]
         locations = np.unique(data.locations[rows[touched]])
@@ -359,7 +359,6 @@ def train(network, task, options):
     """Trains in place and leaves the best epoch's weights; returns what to report."""
     device = task.train.device
     adam = torch.optim.Adam(network.parameters(), options.rate, fused=device.type == "cuda")
-    step_network = torch.compile(network) if options.compile else network
     generator = torch.Generator(device).manual_seed(options.seed)
     rest = task.train[~task.touched[task.train]]
     pressed = task.train[task.touched[task.train]]
@@ -380,7 +379,7 @@ def train(network, task, options):
             adam.param_groups[0]["lr"] = options.rate * 0.5 * (1 + math.cos(math.pi * (epoch + step / steps) / planned))
             part = rows[step * batch : (step + 1) * batch]
             with task.precision():
-                outputs = step_network(task.data.planes(part))
+                outputs = network(task.data.planes(part))
             sums = task.errors(outputs, part)
             loss = sums[0] / batch + sums[1] / sums[2].clamp_min(1)
             adam.zero_grad(set_to_none=True)
@@ -389,7 +388,7 @@ def train(network, task, options):
             total += sums.detach()
         force, position, pushed = total.tolist()
         training.append(force / (steps * batch) + position / max(pushed, 1))
-        outputs = task.outputs(step_network, task.validation, batch, True)
+        outputs = task.outputs(network, task.validation, batch, True)
         force, position, pushed = task.errors(outputs, task.validation).tolist()
         losses.append(force / len(task.validation) + position / max(pushed, 1))
         epoch += 1
@@ -451,20 +450,6 @@ def one_thread(network):
     return float(np.median(seconds))
 
 
-def export(network, file):
-    """Writes the graph from planes to SI units; returns a word on it. A missing exporter costs the file, not the result."""
-    network = copy.deepcopy(network).cpu().eval()
-    names = {"input_names": ["planes"], "output_names": ["position_force"], "opset_version": 17}
-    try:
-        # The older exporter needs no further package; that it is old is no news here.
-        with warnings.catch_warnings(action="ignore"):
-            torch.onnx.export(network, (torch.zeros(1, 6, HEIGHT, WIDTH),), file, dynamo=False, **names)
-    except Exception as error:
-        say(f"  no {file}: {error!r}")
-        return f"not written: {error!r}"
-    return file
-
-
 def say(text):
     print(text, file=sys.stderr, flush=True)
 
@@ -481,7 +466,6 @@ def parse():
     parser.add_argument("--train", type=Path, nargs="+", required=True, metavar="BAG", help="folders of *.mcap")
     parser.add_argument("--answer", action="append", default=[], metavar="BAG=FILE", help="{network} in FILE is its name")
     parser.add_argument("--out", required=True, metavar="RESULT.json")
-    parser.add_argument("--onnx", metavar="FILE", help="{network} in FILE is its name")
     parser.add_argument("--epochs", type=int, default=32)
     parser.add_argument("--batch", type=int, default=64)
     parser.add_argument("--rate", type=float, default=1e-3)
@@ -490,19 +474,17 @@ def parse():
     parser.add_argument("--limit-seconds", type=float, default=math.inf, help="of training each network; fewer epochs where not all fit")
     parser.add_argument("--untouched", type=float, default=1.0, help="share of the untouched training frames in an epoch, drawn anew")
     parser.add_argument("--shrink", type=int, default=1, metavar="K", help="the ResNet sees means of K x K pixels: for CPUs")
-    parser.add_argument("--every", type=int, default=1, help="trains on each K-th frame only", metavar="K")
     parser.add_argument("--least-force", type=float, default=0.015, help="[N] below which the answer is no contact")
     parser.add_argument("--processes", type=int, default=os.cpu_count(), help="that read bags")
-    parser.add_argument("--compile", action="store_true", help="torch.compile")
     options = parser.parse_args()
     options.answer = [pair.rsplit("=", 1) for pair in options.answer]
     if any(len(pair) != 2 for pair in options.answer):
         parser.error("--answer takes BAG=FILE")
-    files = [file for _, file in options.answer] + [options.onnx or "{network}"]
+    files = [file for _, file in options.answer]
     if len(set(options.network)) > 1 and not all("{network}" in file for file in files):
-        parser.error("with several networks, files of --answer and --onnx need {network} in their names")
-    if min(options.epochs, options.batch, options.every, options.shrink, options.processes) < 1 or not 0 <= options.untouched <= 1:
-        parser.error("--epochs, --batch, --every, --shrink and --processes are at least 1, and --untouched is 0 to 1")
+        parser.error("with several networks, files of --answer need {network} in their names")
+    if min(options.epochs, options.batch, options.shrink, options.processes) < 1 or not 0 <= options.untouched <= 1:
+        parser.error("--epochs, --batch, --shrink and --processes are at least 1, and --untouched is 0 to 1")
     return options
 
 
@@ -519,7 +501,7 @@ def run(options):
     torch.backends.cudnn.benchmark = True
     result = {
         "size": [WIDTH, HEIGHT], "shrink_of_resnet18": options.shrink, "seed": options.seed, "batch": options.batch, "rate": options.rate,
-        "untouched": options.untouched, "every": options.every, "least_force_n": options.least_force,
+        "untouched": options.untouched, "least_force_n": options.least_force,
         "device": torch.cuda.get_device_name() if device.type == "cuda" else f"CPU, {torch.get_num_threads()} threads",
         "torch": torch.__version__, "bags": [str(bag) for bag in options.train], "reading_s": data.seconds,
         "samples": task.counts, "networks": {},
@@ -538,8 +520,6 @@ def run(options):
         for bag, file in answers:
             answer(network, task, bag, file.replace("{network}", name), options)
         report["one_frame_one_thread_s"] = one_thread(network)
-        if options.onnx:
-            report["onnx"] = export(network, options.onnx.replace("{network}", name))
         result["networks"][name] = report
         write(options.out, result)
         say(f"{name}: {json.dumps(report['held_out'])}, one frame on one thread {report['one_frame_one_thread_s'] * 1e3:.1f} ms")
