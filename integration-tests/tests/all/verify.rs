@@ -14,10 +14,16 @@ fn sentence(output: &Output) -> String {
     String::from_utf8(output.stderr.clone()).expect("text")
 }
 
+/// Without other programs the closed forms remain. What CalculiX judges, unit tests of the families ask.
 #[test]
 fn barometers_meet_their_references() {
-    let output = dermis(&["validate", "baro", "--json"]);
-    assert!(output.status.success(), "{output:?}");
+    let alone = |arguments: &[&str]| {
+        let mut command = Command::new(program("dermis"));
+        let output = command.args(["validate", "baro"]).args(arguments).env("PATH", "").output().unwrap();
+        assert!(output.status.success(), "{output:?}");
+        output
+    };
+    let output = alone(&["--json"]);
     let summary: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(summary["failed"], 0);
     let cases = summary["cases"].as_array().unwrap();
@@ -29,10 +35,22 @@ fn barometers_meet_their_references() {
         let number = |key: &str| case[key].as_f64().unwrap();
         assert!((number("got") - number("reference")).abs() <= number("tolerance"), "{case}");
     }
-    // Without other programs, the closed forms remain.
-    let alone = Command::new(program("dermis")).args(["validate", "baro"]).env("PATH", "").output().unwrap();
-    let table = String::from_utf8(alone.stdout).unwrap();
+    let output = alone(&[]);
+    let [table, said] = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
     assert!(table.contains("Boussinesq") && table.contains("within their tolerance"), "{table}");
+    assert!(said.contains("left out what CalculiX judges"), "{said}");
+}
+
+#[test]
+fn what_another_program_says_when_it_fails_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let ccx = folder.path().join("ccx");
+    std::fs::write(&ccx, "#!/bin/sh\n[ \"$1\" = -v ] && exit 0\necho no licence is left\nexit 3\n").unwrap();
+    std::fs::set_permissions(&ccx, std::os::unix::fs::PermissionsExt::from_mode(0o755)).unwrap();
+    let mut command = Command::new(program("dermis"));
+    let output = command.args(["validate", "baro"]).env("PATH", folder.path()).output().unwrap();
+    let said = sentence(&output);
+    assert!(said.contains("ccx failed (exit status: 3): no licence is left"), "{said}");
 }
 
 #[test]

@@ -105,7 +105,9 @@ pub(super) fn networks(root: &Path, options: &Options) -> Result<Value> {
         let mut evaluate = Command::new(&dermis);
         evaluate.args(["evaluate", "--json", "--skin", SKIN, "--bins", BINS, "--answers"]);
         evaluate.arg(dir.join(format!("{name}.jsonl"))).arg(&evaluated).current_dir(root);
-        let mut of = summary(&evaluation(&mut evaluate)?)?;
+        let said = evaluation(&mut evaluate)?;
+        let mut of = summary(&said)?;
+        of["false_contacts"] = said["false_contacts"].clone();
         of["learned"] = learned["networks"][name].take();
         let seconds = of["learned"]["one_frame_one_thread_s"].as_f64();
         of["frames_per_cpu_second"] = json!(seconds.map(f64::recip));
