@@ -40,8 +40,8 @@ from torch.nn import functional
 
 WIDTH, HEIGHT = 410, 308
 BYTES = WIDTH * HEIGHT * 3
-# Untouched frames that the reference averages at most, and [N] from which a held-out frame counts for the medians.
-REFERENCE, STRONG = 100, 0.03
+# Untouched frames that the reference averages at most.
+REFERENCE = 100
 # Frames that one process reads at a time: bags are cut, so that one long bag keeps all of them busy.
 PART = 256
 IDLE, UNKNOWN = 0, 255
@@ -364,11 +364,10 @@ def train(network, task, options):
     pressed = task.train[task.touched[task.train]]
     kept = round(len(rest) * options.untouched)
     batch = min(options.batch, len(pressed) + kept)
-    steps, planned = (len(pressed) + kept) // batch, options.epochs
-    best, losses, training, durations, stopped = (math.inf, 0, None), [], [], [], False
+    steps = (len(pressed) + kept) // batch
+    best, losses, training = (math.inf, 0, None), [], []
     begun = time.perf_counter()
-    epoch = 0
-    while epoch < planned:
+    for epoch in range(options.epochs):
         start = time.perf_counter()
         network.train()
         some = rest[torch.randperm(len(rest), generator=generator, device=device)[:kept]]
@@ -376,7 +375,7 @@ def train(network, task, options):
         rows = rows[torch.randperm(len(rows), generator=generator, device=device)]
         total = torch.zeros(3, device=device)
         for step in range(steps):
-            adam.param_groups[0]["lr"] = options.rate * 0.5 * (1 + math.cos(math.pi * (epoch + step / steps) / planned))
+            adam.param_groups[0]["lr"] = options.rate * 0.5 * (1 + math.cos(math.pi * (epoch + step / steps) / options.epochs))
             part = rows[step * batch : (step + 1) * batch]
             with task.precision():
                 outputs = network(task.data.planes(part))
@@ -391,38 +390,17 @@ def train(network, task, options):
         outputs = task.outputs(network, task.validation, batch, True)
         force, position, pushed = task.errors(outputs, task.validation).tolist()
         losses.append(force / len(task.validation) + position / max(pushed, 1))
-        epoch += 1
         if losses[-1] < best[0]:
-            best = (losses[-1], epoch, {k: v.clone() for k, v in network.state_dict().items()})
-        durations.append(time.perf_counter() - start)
-        spent = time.perf_counter() - begun
-        say(f"  epoch {epoch} of {planned}: loss {training[-1]:.4f}, held out {losses[-1]:.4f}, {durations[-1]:.1f} s")
-        if epoch < planned and spent > options.limit_seconds:
-            stopped = True
-            break
-        # Where not all epochs fit, the cosine is drawn in so that it ends in time. The first epoch holds tuning, and says little.
-        if epoch > 1 and math.isfinite(options.limit_seconds):
-            fit = epoch + int((options.limit_seconds - spent) / float(np.median(durations[1:])))
-            planned = min(planned, max(fit, epoch + 1))
+            best = (losses[-1], epoch + 1, {k: v.clone() for k, v in network.state_dict().items()})
+        took = time.perf_counter() - start
+        say(f"  epoch {epoch + 1} of {options.epochs}: loss {training[-1]:.4f}, held out {losses[-1]:.4f}, {took:.1f} s")
     if best[2] is None:
-        raise Failure("training diverged in its first epoch: lower --rate")
+        raise Failure("training diverged: lower --rate")
     network.load_state_dict(best[2])
     return {
-        "epochs": epoch, "epochs_planned": planned, "epochs_asked": options.epochs, "stopped_by_limit": stopped or planned < options.epochs,
-        "best_epoch": best[1], "seconds": time.perf_counter() - begun, "frames_per_epoch": steps * batch,
+        "epochs": options.epochs, "best_epoch": best[1], "seconds": time.perf_counter() - begun, "frames_per_epoch": steps * batch,
         "train_loss": training, "validation_loss": losses,
     }
-
-
-def held_out(network, task, batch):
-    """Medians over touched frames of held-out locations: position error [m], length [N] and angle [rad] of the force's error."""
-    rows = task.validation[task.touched[task.validation]]
-    rows = rows[task.truth[rows, 3:].norm(dim=1) >= STRONG]
-    truth, found = task.truth[rows], task.outputs(network, rows, batch, False)
-    position, force = ((found - truth)[:, part].norm(dim=1) for part in (slice(3), slice(3, 6)))
-    angle = functional.cosine_similarity(truth[:, 3:], found[:, 3:]).clamp(-1, 1).acos()
-    errors = {"position_m": position, "force_n": force, "angle_rad": angle}
-    return {"frames": len(rows), "least_force_n": STRONG} | {k: v.median().item() for k, v in errors.items()}
 
 
 def answer(network, task, bag, file, options):
@@ -471,7 +449,6 @@ def parse():
     parser.add_argument("--rate", type=float, default=1e-3)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--device", choices=["cuda", "cpu"], help="cuda where there is one")
-    parser.add_argument("--limit-seconds", type=float, default=math.inf, help="of training each network; fewer epochs where not all fit")
     parser.add_argument("--untouched", type=float, default=1.0, help="share of the untouched training frames in an epoch, drawn anew")
     parser.add_argument("--shrink", type=int, default=1, metavar="K", help="the ResNet sees means of K x K pixels: for CPUs")
     parser.add_argument("--least-force", type=float, default=0.015, help="[N] below which the answer is no contact")
@@ -503,7 +480,7 @@ def run(options):
         "size": [WIDTH, HEIGHT], "shrink_of_resnet18": options.shrink, "seed": options.seed, "batch": options.batch, "rate": options.rate,
         "untouched": options.untouched, "least_force_n": options.least_force,
         "device": torch.cuda.get_device_name() if device.type == "cuda" else f"CPU, {torch.get_num_threads()} threads",
-        "torch": torch.__version__, "bags": [str(bag) for bag in options.train], "reading_s": data.seconds,
+        "torch": torch.__version__, "reading_s": data.seconds,
         "samples": task.counts, "networks": {},
     }
     say(f"training part and held out: {task.counts}")
@@ -516,13 +493,12 @@ def run(options):
             setattr(network, scale, getattr(task, scale))
         network = network.to(device, memory_format=torch.channels_last)
         report = {"parameters": parameters, "macs": macs} | train(network, task, options)
-        report["held_out"] = held_out(network, task, options.batch)
         for bag, file in answers:
             answer(network, task, bag, file.replace("{network}", name), options)
         report["one_frame_one_thread_s"] = one_thread(network)
         result["networks"][name] = report
         write(options.out, result)
-        say(f"{name}: {json.dumps(report['held_out'])}, one frame on one thread {report['one_frame_one_thread_s'] * 1e3:.1f} ms")
+        say(f"{name}: one frame on one thread {report['one_frame_one_thread_s'] * 1e3:.1f} ms")
 
 
 def main():

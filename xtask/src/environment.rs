@@ -91,7 +91,7 @@ pub fn taxim(root: &Path) -> Result<PathBuf> {
     venv(&home(root).join("taxim"), &root.join("benches/python/taxim.lock.txt"))
 }
 
-/// Python with PyTorch, in which the thesis' networks on pictures of the soft thumb learn; for two cores.
+/// Python with PyTorch, in which networks learn from pictures of the soft thumb.
 pub fn pictures(root: &Path) -> Result<PathBuf> {
     venv(&home(root).join("pictures"), &root.join("benches/python/pictures.lock.txt"))
 }

@@ -14,7 +14,7 @@ fn sentence(output: &Output) -> String {
     String::from_utf8(output.stderr.clone()).expect("text")
 }
 
-/// Without other programs the closed forms remain. What CalculiX judges, unit tests of the families ask.
+/// Without other programs the closed forms remain. CalculiX runs in unit tests of the families and of `dermis-mechanics`.
 #[test]
 fn barometers_meet_their_references() {
     let alone = |arguments: &[&str]| {

@@ -24,6 +24,8 @@ const SCRIPT: &str = "benches/python/insight_pictures.py";
 const NETWORKS: [&str; 2] = ["small", "resnet18"];
 const THESIS_LOCATIONS: u32 = 3800;
 const THESIS_EPOCHS: u32 = 32;
+/// Across and down, of the pictures and of what the thesis' network sees.
+const PIXELS: [u32; 2] = [410, 308];
 /// Steps of the plan that press.
 const PRESSING: u32 = 2;
 /// Share of the untouched frames, which are alike and half of all, that every epoch learns from, drawn anew.
@@ -47,9 +49,6 @@ pub struct Options {
     /// What PyTorch trains on: `cpu` or `cuda`.
     #[arg(long, default_value = "cpu")]
     device: String,
-    /// Seconds in which the training of a network ends, with fewer epochs then; the record says so.
-    #[arg(long)]
-    limit_seconds: Option<f64>,
     /// Python that has what benches/python/pictures.lock.txt names, e.g. with a PyTorch for a GPU; an environment of its own where absent.
     #[arg(long)]
     python: Option<PathBuf>,
@@ -94,9 +93,6 @@ pub(super) fn networks(root: &Path, options: &Options) -> Result<Value> {
     learn.arg("--train").args(&bags).arg("--answer").arg(answers).arg("--out").arg(&learned);
     learn.args(["--device", &options.device, "--epochs", &options.epochs.to_string()]);
     learn.args(["--untouched", &UNTOUCHED.to_string(), "--shrink", &options.shrink.to_string()]);
-    if let Some(seconds) = options.limit_seconds {
-        learn.args(["--limit-seconds", &seconds.to_string()]);
-    }
     execute(learn.current_dir(root))?;
     let mut learned = crate::record::read(&learned)?;
 
@@ -114,14 +110,13 @@ pub(super) fn networks(root: &Path, options: &Options) -> Result<Value> {
         found.insert(name.to_owned(), of);
     }
     if let Some(learned) = learned.as_object_mut() {
-        // Paths of this machine say nothing elsewhere.
-        ["networks", "bags"].iter().for_each(|key| drop(learned.remove(*key)));
+        learned.remove("networks");
     }
     Ok(json!({
         "reduced": {
             "locations": { "here": options.locations, "thesis": THESIS_LOCATIONS },
             "epochs": { "here": options.epochs, "thesis": THESIS_EPOCHS },
-            "resnet18_pixels": { "here": [410 / options.shrink, 308 / options.shrink], "thesis": [410, 308] },
+            "resnet18_pixels": { "here": PIXELS.map(|n| n / options.shrink), "thesis": PIXELS },
         },
         "training": learned,
         "networks": found,
