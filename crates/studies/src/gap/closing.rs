@@ -14,6 +14,8 @@ use crate::refinement::UnknownsChoice;
 /// What to close, and with which estimator to see it.
 #[derive(Debug, Clone, Default, Args, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
+// clap names the group of options after the type, and the diagnosis' has that name.
+#[group(skip)]
 pub struct Request {
     /// The diagnosis.
     #[command(flatten)]
