@@ -266,18 +266,24 @@ fn seeing_model(folder: &Path) -> PathBuf {
 }
 
 #[test]
-fn a_cameras_images_are_recorded_learned_from_and_bounded() {
+fn a_cameras_images_are_learned_from_bounded_and_a_node_publishes_the_force_map() {
     let folder = tempfile::tempdir().unwrap();
+    // Once: learning takes most of the time.
     let model = seeing_model(folder.path());
+    images_are_recorded_learned_from_and_bounded(folder.path(), &model);
+    the_node_publishes_images_and_the_force_map(folder.path(), &model);
+}
+
+fn images_are_recorded_learned_from_and_bounded(folder: &Path, model: &Path) {
     let manifest = std::fs::read_to_string(model.join("bundle.toml")).unwrap();
     assert!(manifest.contains("[input.image]") && manifest.contains("map.normal"), "{manifest}");
-    let bag = collect_by(CAMERA, &pad_plan(folder.path(), "test", 20, 2), &[]);
+    let bag = collect_by(CAMERA, &pad_plan(folder, "test", 20, 2), &[]);
     let info = json(&finish(toys(&["bag", "info", "--json"]).arg(&bag)));
     let topics = info["topics"].as_array().unwrap();
     let count = |name: &str| topics.iter().find(|t| t["name"] == name).unwrap()["messages"].as_u64().unwrap();
     assert!(count("/image") > 200 && count("/image") == count("/taxels"), "{info}");
     let found =
-        json(&finish(toys(&["evaluate", "--json", "--skin", CAMERA, "--model"]).arg(&model).arg(&bag)));
+        json(&finish(toys(&["evaluate", "--json", "--skin", CAMERA, "--model"]).arg(model).arg(&bag)));
     let median = found["figures"]["position_median"].as_f64().unwrap();
     println!("position: median error {:.2} mm on a pad of 32 x 24 mm", median * 1e3);
     // Chance is about 10 mm; a map that says nothing has 1.
@@ -328,14 +334,10 @@ fn an_effect_on_channels_is_refused_where_a_camera_makes_them() {
     assert!(said.contains("`interference` acts on channels"), "{said}");
 }
 
-#[test]
-fn a_cameras_node_publishes_images_and_the_force_map_of_its_network() {
-    let folder = tempfile::tempdir().unwrap();
-    let model = seeing_model(folder.path());
-    let link = folder.path().join("pad");
+fn the_node_publishes_images_and_the_force_map(folder: &Path, model: &Path) {
+    let link = folder.join("pad");
     let mut simulate = toys(&["device", "simulate", CAMERA, "--link"]);
-    let _device =
-        Peer::start(simulate.arg(&link).arg("--plan").arg(pad_plan(folder.path(), "pressed", 500, 4)));
+    let _device = Peer::start(simulate.arg(&link).arg("--plan").arg(pad_plan(folder, "pressed", 500, 4)));
     let options = NodeOptions::new("listener").domain_id(domain()).localhost_only(true);
     let node = Node::open(options, &backend()).unwrap();
     let (seen, images) = channel();
@@ -357,7 +359,7 @@ fn a_cameras_node_publishes_images_and_the_force_map_of_its_network() {
         })
         .unwrap();
     let mut run = toys(&["run", CAMERA, "--source"]);
-    let _node = Peer::start(run.arg(format!("pty://{}", link.display())).arg("--model").arg(&model));
+    let _node = Peer::start(run.arg(format!("pty://{}", link.display())).arg("--model").arg(model));
     assert_eq!(images.recv_timeout(PATIENCE).unwrap(), (320, 240, "rgb8".to_owned(), 320 * 240 * 3));
     let deadline = Instant::now() + PATIENCE;
     loop {
