@@ -36,7 +36,7 @@ enum Command {
         #[arg(long)]
         no_ros: bool,
     },
-    /// Run a command with the ROS 2 environment of the tests, e.g. `cargo xtask ros -- target/release/with-ros2/dermis demo --backend ros2`.
+    /// Run a command with the ROS 2 environment of the tests, e.g. `cargo xtask ros -- target/debug/with-ros2/dermis demo --backend ros2`.
     Ros {
         /// The command and its arguments.
         #[arg(trailing_var_arg = true, required = true)]

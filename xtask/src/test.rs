@@ -24,6 +24,9 @@ pub struct Options {
     /// Also the tests that need minutes and the machine to themselves: the long run, the listener that hangs, and the meshes of a shell.
     #[arg(long)]
     nightly: bool,
+    /// Build as the program ships, which takes a third longer; otherwise less is optimised, and assertions are checked.
+    #[arg(long)]
+    release: bool,
     /// Only tests whose name contains this; without formatting, lints and licences, and with ROS 2 in the program only where one of its
     /// tests is among them.
     filter: Option<String>,
@@ -44,13 +47,13 @@ pub const ROS_IN_PROGRAM: [&str; 2] = [
 ];
 
 /// Programs and tests in one go: apart, their dependencies differ in features and are built twice.
-const BUILD: [&str; 4] = ["build", "--release", "--bins", "--tests"];
+const BUILD: [&str; 3] = ["build", "--bins", "--tests"];
 
 /// What is linted: examples and benches, too.
-const LINTED: [&str; 3] = ["build", "--release", "--all-targets"];
+const LINTED: [&str; 2] = ["build", "--all-targets"];
 
 /// What the tests with ROS 2 need: nothing else is linked once more.
-const BUILD_ROS: [&str; 5] = ["build", "--release", "--bin=dermis", "--bin=dermis-train", "--test=ros2"];
+const BUILD_ROS: [&str; 4] = ["build", "--bin=dermis", "--bin=dermis-train", "--test=ros2"];
 
 /// Adds the selection where ROS 2 is set up, with its environment, and [`WITHOUT_ROS`] where it is not.
 pub fn select(command: &mut Command, selection: [&str; 2], ros: Option<&Ros>) {
@@ -71,7 +74,6 @@ pub fn run(root: &Path, options: &Options) -> Result<()> {
     }
     let (clients, ros) = set_up(root, options, lint, &mut skipped)?;
     let built = Built { root, options, ros, clients };
-    // Release, because that is what ships, and training in it takes seconds.
     step("build", || execute(&mut built.everything(&BUILD)))?;
     if lint {
         step("lints", || lints::run(&target_dir(root), &mut built.with_ros_in_program(&LINTED)))?;
@@ -150,6 +152,9 @@ impl Built<'_> {
     fn cargo(&self, selection: [&'static str; 2], arguments: &[&str]) -> Command {
         let mut c = cargo(self.root);
         c.args(arguments);
+        if self.options.release {
+            c.arg("--release");
+        }
         select(&mut c, selection, self.ros.as_ref());
         c
     }
@@ -170,7 +175,7 @@ impl Built<'_> {
         if !Path::new(&data).is_dir() {
             skipped.push(format!("tests on recordings: {data} is missing (set DERMIS_DATA)"));
         }
-        let release = target_dir(root).join("release");
+        let programs = target_dir(root).join(if options.release { "release" } else { "debug" });
         // One more than there are cores: of the tests across processes, a few at a time, many wait rather than compute.
         let threads = std::env::var("NEXTEST_TEST_THREADS").unwrap_or_else(|_| {
             let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
@@ -190,15 +195,15 @@ impl Built<'_> {
             );
             "--profile=default"
         };
-        let tests = ["nextest", "run", "--release", profile];
-        step("tests", || nextest(self.everything(&tests), &release, "not binary(ros2)"))?;
+        let tests = ["nextest", "run", profile];
+        step("tests", || nextest(self.everything(&tests), &programs, "not binary(ros2)"))?;
         if options.filter.is_none() {
-            let arguments = ["test", "--release", "--doc", "--quiet"];
+            let arguments = ["test", "--doc", "--quiet"];
             step("documentation tests", || execute(&mut self.everything(&arguments)))?;
         }
         if self.ros.is_some() && self.any_with_ros()? {
             let programs = step("build with ROS 2", || {
-                build_aside(&release, &["dermis", "dermis-train"], || {
+                build_aside(&programs, &["dermis", "dermis-train"], || {
                     execute(&mut self.with_ros_in_program(&BUILD_ROS))
                 })
             })?;
@@ -213,28 +218,28 @@ impl Built<'_> {
     /// Whether a test that needs ROS 2 in the program is among those to be run. The list is of what was built without it.
     fn any_with_ros(&self) -> Result<bool> {
         let Some(filter) = &self.options.filter else { return Ok(true) };
-        let mut list = self.everything(&["nextest", "list", "--release", "--message-format=oneline"]);
+        let mut list = self.everything(&["nextest", "list", "--message-format=oneline"]);
         Ok(!output(list.args(["-E", "binary(ros2)", filter]))?.trim().is_empty())
     }
 }
 
-/// Builds programs and puts them into a folder of their own. Those that were there stay: the program with ROS 2 in it does
-/// not start where ROS 2 is not sourced.
-pub fn build_aside(release: &Path, programs: &[&str], build: impl FnOnce() -> Result<()>) -> Result<PathBuf> {
-    let (aside, kept) = (release.join("with-ros2"), release.join("without-ros2"));
+/// Builds programs into the folder `built` and moves them into one of their own. Those that were there stay: the program with ROS 2
+/// in it does not start where ROS 2 is not sourced.
+pub fn build_aside(built: &Path, programs: &[&str], build: impl FnOnce() -> Result<()>) -> Result<PathBuf> {
+    let (aside, kept) = (built.join("with-ros2"), built.join("without-ros2"));
     for folder in [&aside, &kept] {
         fs::create_dir_all(folder)?;
     }
     for program in programs {
-        fs::copy(release.join(program), kept.join(program))?;
+        fs::copy(built.join(program), kept.join(program))?;
     }
-    let built = build();
+    let done = build();
     for program in programs {
-        fs::copy(release.join(program), aside.join(program))?;
+        fs::copy(built.join(program), aside.join(program))?;
         // Not over the file: cargo has linked it to its own copy.
-        fs::remove_file(release.join(program))?;
-        fs::copy(kept.join(program), release.join(program))?;
+        fs::remove_file(built.join(program))?;
+        fs::copy(kept.join(program), built.join(program))?;
     }
     fs::remove_dir_all(&kept)?;
-    built.map(|()| aside)
+    done.map(|()| aside)
 }
