@@ -11,7 +11,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use dermis_bag::{BagError, BagReader};
-use dermis_body::Body;
+use dermis_body::{Body, Robot};
 use dermis_inference::Manifest;
 use dermis_insight::optics::Observer;
 use dermis_insight::wire::PictureReader;
@@ -32,7 +32,7 @@ pub use frames::frames;
 pub type Target = fn(&[u8]);
 
 /// Every target by its name, which is also that of its folder in `corpus/`.
-pub const TARGETS: [(&str, Target); 15] = [
+pub const TARGETS: [(&str, Target); 16] = [
     ("bundle", bundle),
     ("labels", labels),
     ("launch", launch),
@@ -40,6 +40,7 @@ pub const TARGETS: [(&str, Target); 15] = [
     ("plan", plan),
     ("skin", skin),
     ("urdf", urdf),
+    ("srdf", srdf),
     ("rules", rules),
     ("picture", picture),
     ("frames", frames),
@@ -189,6 +190,37 @@ pub fn urdf(data: &[u8]) {
         }
         Err(error) => one_sentence(&error),
     }
+}
+
+/// Which links of a robot may touch each other.
+pub fn srdf(data: &[u8]) {
+    const LINKS: [&str; 4] = ["base", "upper", "fore", "hand"];
+    const WITH_SKINS: [&str; 3] = ["hand", "upper", "fore"];
+    let links: String = LINKS.iter().map(|link| format!("<link name='{link}'/>")).collect();
+    let joint = |ends: &[&str]| {
+        let [a, b] = [ends[0], ends[1]];
+        format!("<joint name='{a}' type='continuous'><parent link='{a}'/><child link='{b}'/></joint>")
+    };
+    let joints: String = LINKS.windows(2).map(joint).collect();
+    let skins = WITH_SKINS.map(|link| format!("[[skins]]\nname = '{link}'\nframe_id = '{link}'\n"));
+    let robot = "schema = 'dermis-robot/1'\nname = 'arm'\nurdf = 'arm.urdf'\nsrdf = 'arm.srdf'\n";
+    folder(|folder| {
+        write(&folder.join("arm.urdf"), format!("<robot name='arm'>{links}{joints}</robot>").as_bytes());
+        write(&folder.join("arm.srdf"), data);
+        match Robot::from_toml(&(robot.to_owned() + &skins.concat()), &folder.join("arm.toml")) {
+            Ok(robot) => {
+                let carried = |link: &usize| robot.skins.iter().any(|skin| skin.link == *link);
+                for [a, b] in &robot.self_contact {
+                    assert!(a < b && carried(a) && carried(b), "{a} and {b} are no two links with skins");
+                }
+                assert!(robot.self_contact.is_sorted_by(|a, b| a < b), "a pair comes twice");
+            }
+            Err(error) => {
+                one_sentence(&error);
+                assert!(error.to_string().contains("arm.srdf"), "{error}: what is given is right");
+            }
+        }
+    });
 }
 
 /// The rules of the reflexes.

@@ -102,6 +102,11 @@ fn skin() {
 }
 
 #[test]
+fn srdf() {
+    replay("srdf");
+}
+
+#[test]
 fn urdf() {
     replay("urdf");
 }
