@@ -24,7 +24,7 @@ pub struct Options {
     /// Also the tests that need minutes and the machine to themselves: the long run, the listener that hangs, and the meshes of a shell.
     #[arg(long)]
     nightly: bool,
-    /// Build as the program ships, which takes a third longer; otherwise less is optimised, and assertions are checked.
+    /// Build as the program ships, which takes twice as long; otherwise what computes is optimised, nothing else, and assertions are checked.
     #[arg(long)]
     release: bool,
     /// Only tests whose name contains this; without formatting, lints and licences, and with ROS 2 in the program only where one of its
