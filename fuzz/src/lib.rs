@@ -194,20 +194,16 @@ pub fn urdf(data: &[u8]) {
 
 /// Which links of a robot may touch each other.
 pub fn srdf(data: &[u8]) {
-    const LINKS: [&str; 4] = ["base", "upper", "fore", "hand"];
-    const WITH_SKINS: [&str; 3] = ["hand", "upper", "fore"];
-    let links: String = LINKS.iter().map(|link| format!("<link name='{link}'/>")).collect();
-    let joint = |ends: &[&str]| {
-        let [a, b] = [ends[0], ends[1]];
-        format!("<joint name='{a}' type='continuous'><parent link='{a}'/><child link='{b}'/></joint>")
-    };
-    let joints: String = LINKS.windows(2).map(joint).collect();
-    let skins = WITH_SKINS.map(|link| format!("[[skins]]\nname = '{link}'\nframe_id = '{link}'\n"));
-    let robot = "schema = 'dermis-robot/1'\nname = 'arm'\nurdf = 'arm.urdf'\nsrdf = 'arm.srdf'\n";
+    const URDF: &str = "<robot name='arm'><link name='base'/><link name='upper'/><link name='fore'/><link name='hand'/>\
+        <joint name='a' type='continuous'><parent link='base'/><child link='upper'/></joint>\
+        <joint name='b' type='continuous'><parent link='upper'/><child link='fore'/></joint>\
+        <joint name='c' type='continuous'><parent link='fore'/><child link='hand'/></joint></robot>";
+    const ROBOT: &str = "schema = 'dermis-robot/1'\nname = 'arm'\nurdf = 'arm.urdf'\nsrdf = 'arm.srdf'\nskins = [\
+        { name = 'h', frame_id = 'hand' }, { name = 'u', frame_id = 'upper' }, { name = 'f', frame_id = 'fore' }]";
     folder(|folder| {
-        write(&folder.join("arm.urdf"), format!("<robot name='arm'>{links}{joints}</robot>").as_bytes());
+        write(&folder.join("arm.urdf"), URDF.as_bytes());
         write(&folder.join("arm.srdf"), data);
-        match Robot::from_toml(&(robot.to_owned() + &skins.concat()), &folder.join("arm.toml")) {
+        match Robot::from_toml(ROBOT, &folder.join("arm.toml")) {
             Ok(robot) => {
                 let carried = |link: &usize| robot.skins.iter().any(|skin| skin.link == *link);
                 for [a, b] in &robot.self_contact {
