@@ -21,7 +21,8 @@ pub struct Options {
     /// Leave out formatting, lints and licences.
     #[arg(long)]
     no_lint: bool,
-    /// Also the tests that need minutes and the machine to themselves: the long run, the listener that hangs, and the meshes of a shell.
+    /// Also the tests that need minutes and the machine to themselves: the long run, the listener that hangs, and the meshes of a shell. They
+    /// measure latency and memory, so that this builds as --release does.
     #[arg(long)]
     nightly: bool,
     /// Build as the program ships, which takes twice as long; otherwise what computes is optimised, nothing else, and assertions are checked.
@@ -149,10 +150,15 @@ struct Built<'a> {
 }
 
 impl Built<'_> {
+    /// Whether programs and tests are built as the program ships.
+    fn as_shipped(&self) -> bool {
+        self.options.release || self.options.nightly
+    }
+
     fn cargo(&self, selection: [&'static str; 2], arguments: &[&str]) -> Command {
         let mut c = cargo(self.root);
         c.args(arguments);
-        if self.options.release {
+        if self.as_shipped() {
             c.arg("--release");
         }
         select(&mut c, selection, self.ros.as_ref());
@@ -175,7 +181,7 @@ impl Built<'_> {
         if !Path::new(&data).is_dir() {
             skipped.push(format!("tests on recordings: {data} is missing (set DERMIS_DATA)"));
         }
-        let programs = target_dir(root).join(if options.release { "release" } else { "debug" });
+        let programs = target_dir(root).join(if self.as_shipped() { "release" } else { "debug" });
         // One more than there are cores: of the tests across processes, a few at a time, many wait rather than compute.
         let threads = std::env::var("NEXTEST_TEST_THREADS").unwrap_or_else(|_| {
             let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
