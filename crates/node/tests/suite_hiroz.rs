@@ -147,6 +147,43 @@ fn the_wire_is_that_of_rmw_zenoh() {
     assert_eq!(parts[11], hash);
 }
 
+/// The graph may show a server before queries reach it.
+#[test]
+fn a_call_waits_until_queries_reach_the_server() {
+    let backend = backend();
+    let bench = Bench::new(&*backend);
+    let (a, b) = (bench.node("a"), bench.node("b"));
+    let serve = || a.serve::<Trigger>("~/tare", |_| TriggerResponse::default()).unwrap();
+    let server = serve();
+    let name = server.name().to_owned();
+    let client = b.client::<Trigger>(&name).unwrap();
+    until("the server is seen", || client.available());
+    let session = plain_session();
+    let server_token = || {
+        let tokens = session.liveliness().get(format!("@ros2_lv/{}/**", domain())).wait().unwrap();
+        std::iter::from_fn(|| tokens.recv().ok())
+            .filter_map(|reply| reply.into_result().ok().map(|sample| sample.key_expr().to_string()))
+            .find(|token| token.contains("/SS/") && token.contains("%tare/"))
+    };
+    let mut token = None;
+    until("another session sees the server", || {
+        token = server_token();
+        token.is_some()
+    });
+    drop(server);
+    let servers = || b.endpoints(&name, EndpointKind::Service).unwrap().len();
+    until("the server is gone", || servers() == 0 && !client.available());
+    let _token = session.liveliness().declare_token(token.unwrap()).wait().unwrap();
+    until("the graph shows a server", || servers() == 1);
+    assert!(!client.available());
+    std::thread::scope(|scope| {
+        let answer = scope.spawn(|| client.call_blocking(&<Trigger as Service>::Request::default(), WAIT));
+        std::thread::sleep(Duration::from_millis(100));
+        let _server = serve();
+        assert_eq!(answer.join().unwrap().unwrap(), TriggerResponse::default());
+    });
+}
+
 /// What is sent around hiroz looks like what is sent through it: same key, count from 0, one gid; and the graph says reliable.
 #[test]
 fn a_stream_is_a_reliable_publisher_to_others() {

@@ -12,7 +12,7 @@ use hiroz::entity::{EndpointKind as GraphKind, TypeInfo};
 use hiroz::graph::Graph;
 use zenoh::Wait;
 use zenoh::key_expr::KeyExpr;
-use zenoh::query::{ConsolidationMode, Query, QueryTarget};
+use zenoh::query::{ConsolidationMode, Querier, Query, QueryTarget};
 
 use super::{has_type, off_runtime};
 use crate::backend::{BackendClient, BackendEndpoint, BackendError, RawRequest};
@@ -50,7 +50,7 @@ impl Drop for HirozServer {
     }
 }
 
-/// A client; it finds its server in the graph.
+/// A client; it finds its server in the graph, and asks zenoh whether queries reach it.
 pub(super) struct HirozClient {
     pub(super) name: String,
     /// Announces the client in the graph.
@@ -58,6 +58,8 @@ pub(super) struct HirozClient {
     pub(super) type_info: TypeInfo,
     pub(super) key: KeyExpr<'static>,
     pub(super) gid: GidArray,
+    /// Knows whether a query would reach a server. Taken out when the client is dropped.
+    pub(super) querier: Option<Querier<'static>>,
     /// Taken out when the client is dropped.
     pub(super) session: Option<Arc<zenoh::Session>>,
     pub(super) graph: Arc<Graph>,
@@ -66,10 +68,16 @@ pub(super) struct HirozClient {
 
 impl BackendClient for HirozClient {
     fn available(&self) -> bool {
-        self.graph
+        let seen = self
+            .graph
             .get_entities_by_service(GraphKind::Service, &self.name)
             .iter()
-            .any(|entity| has_type(entity, &self.type_info))
+            .any(|entity| has_type(entity, &self.type_info));
+        // The graph may show a server before queries are routed to it. Zenoh looks into its tables, without waiting.
+        seen && self.querier.as_ref().is_some_and(|querier| {
+            let status = querier.matching_status().into_future().now_or_never();
+            status.and_then(Result::ok).is_some_and(|status| status.matching())
+        })
     }
 
     fn call(&self, request: &[u8], timeout: Duration) -> BoxFuture<'static, Result<Bytes, BackendError>> {
@@ -111,7 +119,7 @@ impl BackendClient for HirozClient {
 
 impl Drop for HirozClient {
     fn drop(&mut self) {
-        let (presence, session) = (self.presence.take(), self.session.take());
-        off_runtime(|| drop((presence, session)));
+        let (querier, presence, session) = (self.querier.take(), self.presence.take(), self.session.take());
+        off_runtime(|| drop((querier, presence, session)));
     }
 }
