@@ -16,11 +16,11 @@ use crate::record::{commit, sign, write};
 #[derive(Args)]
 pub struct Options {
     /// A sixth of the epochs, a quarter of the samples and frames, and 4 and 24 virtual sensors a gauge only; networks keep their
-    /// sizes. Some ten minutes of CPU time, counted in the same way. The record and its tables say what was reduced, and it takes the place of none
+    /// sizes. Some ten minutes of CPU time, counted and not measured. The record and its tables say what was reduced, and it takes the place of none
     /// that is more whole.
     #[arg(long)]
     reduced: bool,
-    /// Numbers of virtual sensors a gauge that are measured (Fig. 3.5 A); 24, those of the thesis, take a fourth of the time of all. The record
+    /// Numbers of virtual sensors a gauge that are measured (Fig. 3.5 A); 24, those of the thesis, take two fifths of the time of all. The record
     /// says which there were.
     #[arg(long, value_delimiter = ',', conflicts_with = "reduced")]
     sensors: Vec<usize>,
