@@ -69,8 +69,8 @@ pub enum Measurement {
     /// benches/results/real2sim-shin.json.
     Real2sim,
     /// Chapter 3 of the thesis at its sizes (HapDefX) on the limb of `real2sim`: maps, ways to one contact, errors of one and two
-    /// contacts. Writes benches/results/hapdefx-shin.json, from which `cargo xtask docs --tables` makes the tables. Some hour and a
-    /// half of one core. Interrupted, the same command goes on.
+    /// contacts. Writes benches/results/hapdefx-shin.json, from which `cargo xtask docs --tables` makes the tables. About an hour
+    /// and a half of one core. Interrupted, the same command goes on.
     Hapdefx(hapdefx::Options),
     /// Seconds from `kill -9` of a node under `launch` to the contacts of the one that comes after it.
     Restart,
