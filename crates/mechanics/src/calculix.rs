@@ -4,6 +4,7 @@
 //! with this crate. Where it is installed, [`layer_cases`], [`block_cases`], [`dome_cases`], [`shell_cases`] and
 //! [`panel_cases`] ask it what this crate claims to know, and answer with both figures. All of it takes some seconds.
 
+use std::collections::HashMap;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
@@ -103,7 +104,7 @@ struct Answer {
 
 impl Model {
     fn deck(&self) -> String {
-        let mut s = String::from("*NODE, NSET=ALL\n");
+        let mut s = String::from("*NODE\n");
         // Writing to a string cannot fail.
         for (i, p) in self.nodes.iter().enumerate() {
             let _ = writeln!(s, "{}, {:.12e}, {:.12e}, {:.12e}", i + 1, p.x, p.y, p.z);
@@ -133,15 +134,84 @@ impl Model {
                 let _ = writeln!(s, "{}, {}", n + 1, k + 1);
             }
         }
+        match self.own_moves() {
+            Some(own) => self.at_once(&own, &mut s),
+            None => self.one_by_one(&mut s),
+        }
+        s
+    }
+
+    /// Of each load, the node and direction of the strongest of its forces where no other load acts, and that force. `None` where they are
+    /// not several loads, or not of forces alone, or one of them has no such force that is about as strong as its others.
+    fn own_moves(&self) -> Option<Vec<(usize, usize, f64)>> {
+        if self.loads.len() < 2 || self.loads.iter().any(|load| !load.pressures.is_empty()) {
+            return None;
+        }
+        let mut acting = HashMap::new();
+        for (n, k, _) in self.loads.iter().flat_map(|load| self.moves(load)) {
+            *acting.entry((n, k)).or_insert(0) += 1;
+        }
+        let strongest = |of: &mut dyn Iterator<Item = (usize, usize, f64)>| {
+            of.max_by(|a, b| a.2.abs().total_cmp(&b.2.abs()))
+        };
+        self.loads
+            .iter()
+            .map(|load| {
+                let all = strongest(&mut self.moves(load))?;
+                let own = strongest(&mut self.moves(load).filter(|(n, k, _)| acting[&(*n, *k)] == 1))?;
+                (own.2.abs() > 0.1 * all.2.abs()).then_some(own)
+            })
+            .collect()
+    }
+
+    /// Node, direction and force of each component of a load that moves something.
+    fn moves(&self, load: &Load) -> impl Iterator<Item = (usize, usize, f64)> {
+        let held: HashMap<usize, [bool; 3]> = self.held.iter().copied().collect();
+        load.forces
+            .iter()
+            .flat_map(|(n, force)| force.iter().enumerate().map(|(k, f)| (*n, k, *f)))
+            .filter(move |(n, k, f)| *f != 0.0 && !held.get(n).is_some_and(|held| held[*k]))
+    }
+
+    /// All loads by one factorisation.
+    ///
+    /// CalculiX factors the matrix anew for every static step. Its Green functions share one factor, but each is of a force on one node in
+    /// one direction. So each load gets a node whose displacement is the load's work, Σ f u, in place of one displacement in that sum:
+    /// a unit force on it is the load.
+    fn at_once(&self, own: &[(usize, usize, f64)], s: &mut String) {
+        let first = self.nodes.len() + 1;
+        s.push_str("*NODE\n");
+        for k in 0..own.len() {
+            let _ = writeln!(s, "{}, 0, 0, 0", first + k);
+        }
+        for (k, (load, (own_node, own_direction, f))) in self.loads.iter().zip(own).enumerate() {
+            let others = || self.moves(load).filter(|(n, d, _)| (n, d) != (own_node, own_direction));
+            let _ = writeln!(s, "*EQUATION\n{}", 2 + others().count());
+            let _ = writeln!(s, "{}, {}, {f:.12e}", own_node + 1, own_direction + 1);
+            for (n, d, f) in others() {
+                let _ = writeln!(s, "{}, {}, {f:.12e}", n + 1, d + 1);
+            }
+            let _ = writeln!(s, "{}, 1, -1", first + k);
+        }
+        s.push_str("*BOUNDARY\n");
+        for k in 0..own.len() {
+            let _ = writeln!(s, "{}, 2, 3", first + k);
+        }
+        s.push_str("*STEP\n*GREEN\n*CLOAD\n");
+        for k in 0..own.len() {
+            let _ = writeln!(s, "{}, 1, 1", first + k);
+        }
+        self.end_step(s);
+    }
+
+    fn one_by_one(&self, s: &mut String) {
         for load in &self.loads {
             s.push_str("*STEP\n*STATIC\n");
             if !load.forces.is_empty() {
                 s.push_str("*CLOAD, OP=NEW\n");
             }
-            for (n, force) in &load.forces {
-                for (k, f) in force.iter().enumerate().filter(|(_, f)| **f != 0.0) {
-                    let _ = writeln!(s, "{}, {}, {f:.12e}", n + 1, k + 1);
-                }
+            for (n, k, f) in self.moves(load) {
+                let _ = writeln!(s, "{}, {}, {f:.12e}", n + 1, k + 1);
             }
             if !load.pressures.is_empty() {
                 s.push_str("*DLOAD, OP=NEW\n");
@@ -149,14 +219,17 @@ impl Model {
             for (e, face, p) in &load.pressures {
                 let _ = writeln!(s, "{}, {face}, {p:.12e}", e + 1);
             }
-            let flat = if self.element.starts_with("CAX") { ", OUTPUT=2D" } else { "" };
-            let _ = writeln!(s, "*NODE FILE{flat}\nU\n*EL FILE{flat}\nS");
-            if !self.sensors.is_empty() {
-                s.push_str("*EL PRINT, ELSET=SENSORS\nS\n");
-            }
-            s.push_str("*END STEP\n");
+            self.end_step(s);
         }
-        s
+    }
+
+    fn end_step(&self, s: &mut String) {
+        let flat = if self.element.starts_with("CAX") { ", OUTPUT=2D" } else { "" };
+        let _ = writeln!(s, "*NODE FILE{flat}\nU\n*EL FILE{flat}\nS");
+        if !self.sensors.is_empty() {
+            s.push_str("*EL PRINT, ELSET=SENSORS\nS\n");
+        }
+        s.push_str("*END STEP\n");
     }
 
     fn solve(&self) -> Result<Vec<Answer>, CalculixError> {
@@ -298,6 +371,62 @@ mod tests {
         }
         let wrong: Vec<&Case> = cases.iter().filter(|c| !c.pass).collect();
         assert!(wrong.is_empty(), "{wrong:#?}");
+    }
+
+    /// A strip that is held at one end, of 20-node hexahedra.
+    fn strip(loads: Vec<Load>) -> Model {
+        let planes = |cells: usize| (0..=cells).map(|i| i as f64 * 1e-3).collect::<Vec<_>>();
+        let solid = quadratic::Quadratic::new(
+            &crate::fem::HexMesh::block([&planes(6), &planes(3), &planes(1)]),
+            |middle| middle,
+        );
+        let held = (0..solid.nodes.len()).filter(|&n| solid.nodes[n].x < 1e-9).map(|n| (n, [true; 3]));
+        Model {
+            held: held.collect(),
+            nodes: solid.nodes,
+            element: "C3D20R",
+            elements: solid.cells,
+            young_modulus: 1e6,
+            poisson_ratio: 0.3,
+            sensors: vec![4, 9],
+            loads,
+        }
+    }
+
+    #[test]
+    fn loads_at_once_do_what_they_do_one_by_one() {
+        let force = |n: usize, f: [f64; 3]| (n, Vector3::from(f));
+        let load = |forces: Vec<(usize, Vector3<f64>)>| Load { forces, ..Load::default() };
+        let loads = vec![
+            load(vec![force(10, [0.1, 0.0, -0.2]), force(11, [0.0, 0.1, 0.3])]),
+            load(vec![force(0, [5.0, 0.0, 0.0]), force(20, [0.0, -0.2, 0.1]), force(11, [0.0, 0.0, 0.1])]),
+        ];
+        let model = strip(loads.clone());
+        assert!(model.nodes[0].x < 1e-9 && model.own_moves().is_some());
+        let at_once = match model.solve() {
+            Err(CalculixError::Missing) => return println!("skipped: {}", CalculixError::Missing),
+            answers => answers.unwrap(),
+        };
+        for (load, together) in loads.into_iter().zip(&at_once) {
+            let alone = strip(vec![load]);
+            assert!(alone.own_moves().is_none());
+            let alone = alone.solve().unwrap().remove(0);
+            let moves = |a: &Answer| a.displacements.iter().flat_map(|u| [u.x, u.y, u.z]).collect::<Vec<_>>();
+            for (what, ours, theirs) in [
+                ("displacements", moves(together), moves(&alone)),
+                ("pressures", together.pressures.clone(), alone.pressures.clone()),
+                ("sensed", together.sensed.clone(), alone.sensed.clone()),
+            ] {
+                let peak = theirs.iter().fold(0.0f64, |peak, v| peak.max(v.abs()));
+                assert!(peak > 0.0 && ours.len() == theirs.len(), "{what}");
+                for (a, b) in ours.iter().zip(&theirs) {
+                    assert!((a - b).abs() < 2e-5 * peak, "{what}: {a} and {b} of {peak}");
+                }
+            }
+        }
+        // The same load twice has no force of its own.
+        let twice = load(vec![force(10, [0.1, 0.0, 0.0])]);
+        assert!(strip(vec![twice.clone(), twice]).own_moves().is_none());
     }
 
     #[test]

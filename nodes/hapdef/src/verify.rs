@@ -238,7 +238,7 @@ mod tests {
         all_pass(&cases().unwrap());
     }
 
-    /// A minute of CalculiX.
+    /// Half a minute of CalculiX.
     #[test]
     fn the_limb_agrees_with_solids() {
         if !calculix::available() {

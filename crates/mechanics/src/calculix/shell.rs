@@ -216,7 +216,7 @@ pub struct Touch {
 /// `clamped`, by 20-node hexahedra, one through the thickness.
 ///
 /// Each gauge is a load and each touch a reading of its displacements: by reciprocity (E. Betti, 1872) the numbers are the
-/// same as the other way round, and as many touches as one likes cost a solution for each gauge.
+/// same as the other way round, and as many touches as one likes cost a solution for each gauge, all with one factor.
 ///
 /// # Errors
 ///
@@ -246,7 +246,7 @@ pub fn touch_readings(
         .collect()
 }
 
-/// How long CalculiX takes for the solid of `panel` under its load, `times` in a row.
+/// How long CalculiX takes for the solid of `panel` under its load, `times` in a row, each a step that it factors anew for.
 ///
 /// # Errors
 ///
