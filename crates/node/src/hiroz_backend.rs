@@ -393,20 +393,19 @@ impl BackendNode for HirozNode {
 
     fn client(&self, name: &str, service: &ServiceSupport) -> Result<Arc<dyn BackendClient>, BackendError> {
         let type_info = type_info("client", name, service.name, service.hash)?;
-        let (presence, key, gid, querier, session) = self.make("client", name, |node| {
+        let (presence, gid, querier, session) = self.make("client", name, |node| {
             let builder = node
                 .create_client_impl::<RawService>(name, Some(type_info.clone()))
                 .with_qos(to_wire_qos(&Qos::services()));
             let key = (*node.keyexpr_format().topic_key_expr(builder.entity())?).clone();
             let gid = hiroz::entity::endpoint_gid(builder.entity()).unwrap_or_default();
-            let querier = node.session().declare_querier(key.clone()).wait()?;
-            Ok((builder.build()?, key, gid, querier, Arc::clone(node.session())))
+            let querier = node.session().declare_querier(key).wait()?;
+            Ok((builder.build()?, gid, querier, Arc::clone(node.session())))
         })?;
         Ok(Arc::new(HirozClient {
             name: name.to_owned(),
             presence: Some(Box::new(presence)),
             type_info,
-            key,
             gid,
             querier: Some(querier),
             session: Some(session),

@@ -88,6 +88,14 @@ fn plain_session() -> zenoh::Session {
     zenoh::open(config).wait().unwrap()
 }
 
+/// Liveliness tokens by which entities of this domain announce themselves to the graph.
+fn graph_tokens(session: &zenoh::Session) -> Vec<String> {
+    let tokens = session.liveliness().get(format!("@ros2_lv/{}/**", domain())).wait().unwrap();
+    std::iter::from_fn(|| tokens.recv().ok())
+        .filter_map(|reply| reply.into_result().ok().map(|sample| sample.key_expr().to_string()))
+        .collect()
+}
+
 #[test]
 fn the_wire_is_that_of_rmw_zenoh() {
     let backend = backend();
@@ -131,10 +139,7 @@ fn the_wire_is_that_of_rmw_zenoh() {
     assert_eq!(second[0], 1, "the next of the sequence");
     assert_eq!(second[16..], attachment[16..], "one publisher, one gid");
 
-    let tokens = session.liveliness().get(format!("@ros2_lv/{}/**", domain())).wait().unwrap();
-    let tokens: Vec<String> = std::iter::from_fn(|| tokens.recv().ok())
-        .filter_map(|reply| reply.into_result().ok().map(|sample| sample.key_expr().to_string()))
-        .collect();
+    let tokens = graph_tokens(&session);
     let publisher_token = tokens
         .iter()
         .find(|token| token.contains("/MP/") && token.contains("%words/"))
@@ -159,15 +164,10 @@ fn a_call_waits_until_queries_reach_the_server() {
     let client = b.client::<Trigger>(&name).unwrap();
     until("the server is seen", || client.available());
     let session = plain_session();
-    let server_token = || {
-        let tokens = session.liveliness().get(format!("@ros2_lv/{}/**", domain())).wait().unwrap();
-        std::iter::from_fn(|| tokens.recv().ok())
-            .filter_map(|reply| reply.into_result().ok().map(|sample| sample.key_expr().to_string()))
-            .find(|token| token.contains("/SS/") && token.contains("%tare/"))
-    };
+    let of_server = |token: &String| token.contains("/SS/") && token.contains("%tare/");
     let mut token = None;
     until("another session sees the server", || {
-        token = server_token();
+        token = graph_tokens(&session).into_iter().find(of_server);
         token.is_some()
     });
     drop(server);

@@ -11,7 +11,6 @@ use hiroz::attachment::{Attachment, GidArray};
 use hiroz::entity::{EndpointKind as GraphKind, TypeInfo};
 use hiroz::graph::Graph;
 use zenoh::Wait;
-use zenoh::key_expr::KeyExpr;
 use zenoh::query::{ConsolidationMode, Querier, Query, QueryTarget};
 
 use super::{has_type, off_runtime};
@@ -56,9 +55,8 @@ pub(super) struct HirozClient {
     /// Announces the client in the graph.
     pub(super) presence: Option<Box<dyn std::any::Any + Send + Sync>>,
     pub(super) type_info: TypeInfo,
-    pub(super) key: KeyExpr<'static>,
     pub(super) gid: GidArray,
-    /// Knows whether a query would reach a server. Taken out when the client is dropped.
+    /// Knows the key, and whether a query would reach a server. Taken out when the client is dropped.
     pub(super) querier: Option<Querier<'static>>,
     /// Taken out when the client is dropped.
     pub(super) session: Option<Arc<zenoh::Session>>,
@@ -86,11 +84,11 @@ impl BackendClient for HirozClient {
         let sequence = self.sequence.fetch_add(1, Ordering::Relaxed);
         let (answer, answered) = futures::channel::oneshot::channel();
         let answer = Mutex::new(Some(answer));
-        let Some(session) = &self.session else {
+        let (Some(session), Some(querier)) = (&self.session, &self.querier) else {
             return std::future::ready(Err(no_answer("the client is closed".to_owned()))).boxed();
         };
         let sent = session
-            .get(&self.key)
+            .get(querier.key_expr())
             .target(QueryTarget::All)
             .consolidation(ConsolidationMode::None)
             .timeout(timeout)
