@@ -68,7 +68,7 @@ fn position_is_learned_from_a_real_skin() {
     config.network.hidden = vec![48, 48];
     config.network.members = 1;
     config.training.epochs = 60;
-    config.model.most = 800;
+    config.model.most = 400;
     config.split.kind = SplitKind::Press;
     let figures = learn(&data, &other, &config, &skin, &scratch.path().join("model"));
     assert!(figures.held_out.figures()["position_rms"] < 0.0007);
@@ -87,7 +87,7 @@ fn force_is_learned_from_a_real_skin() {
     config.network.hidden = vec![32];
     config.network.members = 1;
     config.training.epochs = 60;
-    config.model.most = 800;
+    config.model.most = 400;
     let figures = learn(&data, &other, &config, &skin, &scratch.path().join("model"));
     assert!(figures.held_out.figures()["force_normal_rms"] < 0.5);
     assert!(figures.others[0].1.figures()["force_normal_rms"] < 2.0);

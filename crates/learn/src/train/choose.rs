@@ -302,11 +302,13 @@ impl<'a> Table<'a> {
         most: usize,
     ) -> Result<(Answers, BTreeMap<&'static str, Settings>), LearnError> {
         let (mut answers, mut all) = (Answers::new(), BTreeMap::new());
+        // Settings for few rows are those that few rows ask for.
+        let enough = TUNED.min(most);
         for group in &self.groups {
-            let rows = self.taught(group, TUNED, |_| true);
+            let rows = self.taught(group, enough, |_| true);
             let (inputs, targets) = self.tables(&rows, group);
             let folds: Vec<usize> = rows.iter().map(|i| self.folds[*i]).collect();
-            let tuning = Tuning { folds: self.count, most: TUNED, seed: 0 };
+            let tuning = Tuning { folds: self.count, most: enough, seed: 0 };
             let tune = || {
                 let inputs = Rows::new(&inputs, self.batch.width, "inputs")?;
                 let targets = Rows::new(&targets, group.columns.len(), "targets")?;
