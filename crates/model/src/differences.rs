@@ -137,7 +137,7 @@ impl Differences {
         out: &mut [f64],
     ) -> Result<(), ModelError> {
         let channels = model.channels();
-        debug_assert_eq!(out.len(), channels * unknowns.count() * stimulus.contacts.len());
+        assert_eq!(out.len(), channels * unknowns.count() * stimulus.contacts.len());
         let mut moved = stimulus.clone();
         let mut less = vec![0.0; channels];
         let mut columns = out.chunks_exact_mut(channels.max(1));

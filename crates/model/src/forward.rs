@@ -53,7 +53,7 @@ pub trait ForwardModel: Send + Sync {
     /// As [`response`](Self::response), for the first stimulus that has no answer.
     fn responses(&self, stimuli: &[Stimulus], out: &mut [f64]) -> Result<(), ModelError> {
         let channels = self.channels();
-        debug_assert_eq!(out.len(), stimuli.len() * channels);
+        assert_eq!(out.len(), stimuli.len() * channels);
         stimuli.iter().zip(out.chunks_exact_mut(channels.max(1))).try_for_each(|(s, o)| self.response(s, o))
     }
 

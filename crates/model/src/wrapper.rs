@@ -223,7 +223,7 @@ impl<'a> WithNoise<'a> {
     /// `model` with the standard deviations `noise`, one a channel.
     #[must_use]
     pub fn new(model: &'a dyn ForwardModel, noise: Vec<f64>) -> Self {
-        debug_assert_eq!(model.channels(), noise.len());
+        assert_eq!(model.channels(), noise.len());
         Self { model, noise }
     }
 

@@ -74,7 +74,7 @@ fn presses_on_the_fovea_come_nearer_than_half_a_millimetre() {
     let inverter = Inverter::new(Arc::clone(&model), settings).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(19);
     let (mut errors, mut informed, mut as_likely) = (Vec::new(), Vec::new(), 0);
-    for _ in 0..12 {
+    for _ in 0..8 {
         // The region of `insight-thumb-fovea.toml`.
         let [x, y, z] = [(-0.0045, 0.0045), (0.0100, 0.0110), (0.0490, 0.0595)]
             .map(|(low, high)| rng.random_range(low..high));
@@ -98,8 +98,8 @@ fn presses_on_the_fovea_come_nearer_than_half_a_millimetre() {
     }
     errors.sort_by(f64::total_cmp);
     informed.sort_by(f64::total_cmp);
-    println!("{as_likely} of 12 as likely; {errors:?} m; from the truth {informed:?} m");
+    println!("{as_likely} of 8 as likely; {errors:?} m; from the truth {informed:?} m");
     // Begun at the truth the median is 0.03 mm.
-    assert!(errors[6] < 5e-4, "{errors:?} m");
-    assert!(as_likely >= 5, "{as_likely} of 12");
+    assert!(errors[4] < 5e-4, "{errors:?} m");
+    assert!(as_likely >= 4, "{as_likely} of 8");
 }

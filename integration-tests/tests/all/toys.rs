@@ -250,13 +250,13 @@ fn what_its_node_publishes_is_in_the_bag() {
 
 /// A convolutional network from images to a force map, learned from a bag.
 fn seeing_model(folder: &Path) -> PathBuf {
-    let bag = collect_by(CAMERA, &pad_plan(folder, "seen", 100, 1), &[]);
+    let bag = collect_by(CAMERA, &pad_plan(folder, "seen", 80, 1), &[]);
     let config = folder.join("train.cfg.toml");
     let text = "targets = [\"position.x\", \"position.y\", \"force.normal\", \"map.normal\"]\nbaseline = \"tared\"\n\
                 position_full_force = 1.0\n\
                 [features]\nscaling = \"common\"\nimage = { planes = 3, rows = 24, columns = 32 }\n\
                 [network.conv]\ngrid = [3, 24, 32]\nencoder = [8, 16, 16]\nhidden = 64\nsurface = [13, 17]\n\
-                [training]\nepochs = 40\nbatch = 8\nlearning_rate = 1e-2\n\
+                [training]\nepochs = 25\nbatch = 8\nlearning_rate = 1e-2\n\
                 [split]\nkind = \"location\"\nfraction = 0.2\n";
     std::fs::write(&config, text).unwrap();
     let out = folder.join("model");

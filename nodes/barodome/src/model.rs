@@ -159,7 +159,7 @@ impl ForwardModel for BarometerModel {
 
     /// Mean compressive stress at each taxel plus what the ambient pressure is above one standard atmosphere.
     fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
-        debug_assert_eq!(out.len(), self.channels());
+        assert_eq!(out.len(), self.channels());
         out.fill(0.0);
         for (index, contact) in stimulus.contacts.iter().enumerate() {
             let normal = contact.check(index, &self.surface)?;

@@ -227,7 +227,7 @@ impl ForwardModel for FabricModel {
 
     /// Voltages of foam that was never pressed before and whose creep is over.
     fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
-        debug_assert_eq!(out.len(), self.channels());
+        assert_eq!(out.len(), self.channels());
         let pressures = self.pressures(stimulus)?;
         let scale = self.scale(stimulus.temperature);
         SCRATCH.with_borrow_mut(|scratch| self.voltages(&pressures, scale, scratch, out));

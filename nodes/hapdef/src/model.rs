@@ -358,7 +358,7 @@ impl ForwardModel for ShellModel {
 
     /// Strain at each gauge.
     fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
-        debug_assert_eq!(out.len(), self.channels());
+        assert_eq!(out.len(), self.channels());
         out.fill(0.0);
         let contacts = self.checked(stimulus)?;
         let kept = self.kept(&contacts);
@@ -381,7 +381,7 @@ impl ForwardModel for ShellModel {
 
     /// Of the linear shell under the normal part of each force, spread over the nominal patch.
     fn displacement(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<bool, ModelError> {
-        debug_assert_eq!(out.len(), self.surface.points.len());
+        assert_eq!(out.len(), self.surface.points.len());
         let contacts = self.checked(stimulus)?;
         if contacts.is_empty() {
             out.fill(0.0);

@@ -337,7 +337,7 @@ impl ForwardModel for ThumbModel {
     }
 
     fn response(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<(), ModelError> {
-        debug_assert_eq!(out.len(), self.channels());
+        assert_eq!(out.len(), self.channels());
         self.show(stimulus, |shown, brighter| self.picture.respond(shown, brighter, out))
     }
 

@@ -144,7 +144,7 @@ impl Memory for MediumMemory {
     }
 
     fn apply_transducer(&mut self, time: f64, stimulus: &Stimulus, readings: &mut [f64]) {
-        debug_assert_eq!(readings.len(), self.channels);
+        assert_eq!(readings.len(), self.channels);
         let (first, last) = self.times.unwrap_or((time, time));
         self.times = Some((first, time));
         // A clock that jumps back makes no time.

@@ -37,7 +37,7 @@ impl Update {
     /// resistance per square is `scale` times what it was solved for.
     pub fn solve(&mut self, sheet: &Sheet, loads: &[Load], scale: f64, out: &mut [f64]) {
         let (k, n) = (loads.len(), sheet.electrodes);
-        debug_assert_eq!(out.len(), n * n);
+        assert_eq!(out.len(), n * n);
         self.electrodes = n;
         self.roots.clear();
         self.roots.extend(loads.iter().map(|load| load.conductance.sqrt()));
