@@ -23,7 +23,7 @@ mod shell;
 pub use block::{PadReadings, block_cases, pad_readings};
 pub use dome::dome_cases;
 pub use layer::layer_cases;
-pub use shell::{Panel, Touch, panel_cases, panel_time, shell_cases, touch_readings};
+pub use shell::{Panel, PanelTimes, Touch, panel_cases, panel_times, shell_cases, touch_readings};
 
 /// Debian's package, and what the instructions say to install.
 const INSTALL: &str = "install CalculiX (Debian and Ubuntu: apt-get install calculix-ccx)";

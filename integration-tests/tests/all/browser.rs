@@ -9,7 +9,7 @@ use dermis_integration_tests::{finish, json, program, root};
 
 /// What a browser says of a page, as JSON: faults that a reader would see.
 const LOOK: &str = r#"
-<pre id="found">[]</pre>
+<pre id="found" hidden>[]</pre>
 <script>
 addEventListener("load", () => {
   const faults = [];
@@ -50,7 +50,7 @@ addEventListener("load", () => {
 
 /// Every colour that a browser shows on a page, as JSON.
 const COLOURS: &str = r#"
-<pre id="found">[]</pre>
+<pre id="found" hidden>[]</pre>
 <script>
 addEventListener("load", () => {
   const seen = new Set();
@@ -97,16 +97,19 @@ fn open(browser: &Path, page: &Path, arguments: &[String]) -> String {
     finish(&mut command)
 }
 
-/// What a script finds on a page or an SVG, which it writes into an element `found`.
-fn found(browser: &Path, file: &Path, script: &str) -> Vec<String> {
+/// What a script finds on a page or an SVG, which it writes into an element `found`. Keeps a screenshot, where one is asked for.
+fn found(browser: &Path, file: &Path, script: &str, screenshot: Option<&Path>) -> Vec<String> {
     let folder = tempfile::tempdir().unwrap();
     let text = std::fs::read_to_string(file).unwrap();
     // A figure by itself stands in a page of its own; a page gets the script at its end.
     let seen = folder.path().join("page.html");
     let (head, tail) = text.rsplit_once("</body>").unwrap_or((&text, ""));
     std::fs::write(&seen, format!("<!doctype html>\n{head}{script}{tail}")).unwrap();
-    let dom = open(browser, &seen, &["--dump-dom".to_owned()]);
-    let found = dom.rsplit_once("<pre id=\"found\">").and_then(|(_, rest)| rest.split_once("</pre>"));
+    let mut arguments = vec!["--dump-dom".to_owned()];
+    arguments.extend(screenshot.map(|shot| format!("--screenshot={}", shot.display())));
+    let dom = open(browser, &seen, &arguments);
+    let found =
+        dom.rsplit_once("<pre id=\"found\" hidden=\"\">").and_then(|(_, rest)| rest.split_once("</pre>"));
     let (found, _) = found.unwrap_or_else(|| panic!("the browser did not show {}", file.display()));
     let found = found.replace("&lt;", "<").replace("&gt;", ">").replace("&amp;", "&");
     serde_json::from_str(&found).unwrap()
@@ -119,15 +122,15 @@ fn faults(file: &Path) -> Option<Vec<String>> {
     std::fs::create_dir_all(&shots).unwrap();
     let name = file.file_stem().unwrap().to_string_lossy().into_owned();
     let shot = shots.join(format!("{name}-{}.png", std::process::id()));
-    open(&browser, file, &[format!("--screenshot={}", shot.display())]);
+    let found = found(&browser, file, LOOK, Some(&shot));
     assert!(std::fs::metadata(&shot).unwrap().len() > 1000, "{} is empty", shot.display());
     std::fs::rename(&shot, shots.join(format!("{name}.png"))).unwrap();
-    Some(found(&browser, file, LOOK))
+    Some(found)
 }
 
 /// Colours on a page or an SVG that are far more red than anything else; `None` where there is no browser.
 fn deep_reds(file: &Path) -> Option<Vec<String>> {
-    let mut colours = found(&browser()?, file, COLOURS);
+    let mut colours = found(&browser()?, file, COLOURS, None);
     colours.retain(|colour| {
         let channels = colour.split(|c: char| !c.is_ascii_digit()).filter_map(|n| n.parse::<i32>().ok());
         matches!(channels.collect::<Vec<_>>()[..], [red, green, blue, ..] if red - green.max(blue) > 100)

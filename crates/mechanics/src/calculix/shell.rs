@@ -3,6 +3,7 @@
 //! CalculiX' own shell elements are expanded into solids, and what their rotations are held by changes the answer of the roof
 //! tenfold; 20-node hexahedra of reduced integration leave nothing to hold but displacements.
 
+use std::collections::HashSet;
 use std::time::{Duration, Instant};
 
 use nalgebra::{Point3, Vector3};
@@ -246,18 +247,43 @@ pub fn touch_readings(
         .collect()
 }
 
-/// How long CalculiX takes for the solid of `panel` under its load, `times` in a row, each a step that it factors anew for.
+/// How long CalculiX takes for loads on a panel's solid.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PanelTimes {
+    /// For the first.
+    pub first: Duration,
+    /// For each further one where each is a step of its own, which it factors anew for.
+    pub step: Duration,
+    /// For each further one where all share a factor.
+    pub at_once: Duration,
+}
+
+/// Times CalculiX for the load of `panel` and `further` others.
 ///
 /// # Errors
 ///
 /// As [`panel_cases`].
-pub fn panel_time(panel: &Panel, times: usize) -> Result<Duration, CalculixError> {
-    let Both { mut model, .. } = Both::new(panel)?;
+pub fn panel_times(panel: &Panel, further: u32) -> Result<PanelTimes, CalculixError> {
+    let Both { normals, mut model, .. } = Both::new(panel)?;
+    let time = |model: &Model| {
+        let begun = Instant::now();
+        model.solve().map(|_| begun.elapsed())
+    };
+    let first = time(&model)?;
+    let each = |all: Duration| all.saturating_sub(first) / further.max(1);
     let load = model.loads.remove(0);
-    model.loads.resize(times, load);
-    let begun = Instant::now();
-    model.solve()?;
-    Ok(begun.elapsed())
+    // The same load again has no force of its own, and is solved by a step.
+    model.loads = vec![load.clone(); 1 + further as usize];
+    let step = each(time(&model)?);
+    // On one corner of the outer face each.
+    let taken: HashSet<usize> =
+        load.forces.iter().map(|(n, _)| *n).chain(model.held.iter().map(|(n, _)| *n)).collect();
+    let corners = normals.len();
+    let others = (corners..2 * corners).filter(|n| !taken.contains(n)).take(further as usize);
+    let others = others.map(|n| Load { forces: vec![(n, -normals[n - corners])], ..Load::default() });
+    model.loads = std::iter::once(load).chain(others).collect();
+    let at_once = each(time(&model)?);
+    Ok(PanelTimes { first, step, at_once })
 }
 
 fn compare(panel: &Panel) -> Result<Compared, CalculixError> {
