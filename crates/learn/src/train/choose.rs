@@ -302,7 +302,7 @@ impl<'a> Table<'a> {
         most: usize,
     ) -> Result<(Answers, BTreeMap<&'static str, Settings>), LearnError> {
         let (mut answers, mut all) = (Answers::new(), BTreeMap::new());
-        // Settings for few rows are those that few rows ask for.
+        // Settings that suit more rows than a graph may hold are not the best for those that it holds.
         let enough = TUNED.min(most);
         for group in &self.groups {
             let rows = self.taught(group, enough, |_| true);
