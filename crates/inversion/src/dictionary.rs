@@ -6,11 +6,11 @@
 //! [`Inverter::sparse`](crate::Inverter::sparse) add its signals up. Each asks
 //! [`ForwardModel::superposes`] first.
 
-use dermis_model::{ForwardModel, Stimulus, Untouched};
+use dermis_model::{ForwardModel, Stimulus, Unknowns, Untouched, tangents};
 use dermis_skin::{ModelError, Surface};
-use nalgebra::{Point3, Vector3};
+use nalgebra::{DMatrix, Matrix3, Point3, Vector3};
 
-use crate::settings::Settings;
+use crate::settings::{Search, Settings};
 
 /// Shares of the largest force at which responses are kept: a soft medium is not quite linear in it.
 const LEVELS: [f64; 4] = [0.05, 0.2, 0.5, 1.0];
@@ -35,14 +35,77 @@ pub(crate) struct Dictionary {
     responses: Vec<f32>,
     /// locations × channels: direction of the response at [`SHAPE`] in units of the noise.
     directions: Vec<f32>,
+    /// What shear adds to the directions, where it is looked for and every place has a pattern of its own.
+    shears: Option<Shears>,
     /// For every place the locations beside it.
     neighbours: Vec<Vec<usize>>,
     /// For every place its [`mismatch`](Self::mismatch).
     mismatches: Vec<f64>,
 }
 
+/// What a press does whose force leans: per place, the parts of the responses to shear along both tangents that its own direction does not
+/// have, so that all three are orthonormal.
+#[derive(Debug)]
+struct Shears {
+    /// locations × 2 × channels.
+    directions: Vec<f32>,
+    /// For every place the responses of a pressing force and of both shears, of as many newtons, in these directions: rows of the upper triangle.
+    triangles: Vec<Matrix3<f64>>,
+    /// Standard deviation of shear along each direction over the pressing force; any is as likely where absent.
+    expected: Option<f64>,
+}
+
+impl Shears {
+    /// Of no place yet.
+    fn new(expected: Option<f64>) -> Self {
+        Self { directions: Vec::new(), triangles: Vec::new(), expected }
+    }
+
+    /// Adds a place, of which `straight` is the whitened response to a press of `force` \[N\].
+    fn add(
+        &mut self,
+        location: &Location,
+        (straight, force): (&[f64], f64),
+        whitened: impl Fn(Vector3<f64>) -> Result<Vec<f64>, ModelError>,
+    ) -> Result<(), ModelError> {
+        let mut columns = DMatrix::zeros(straight.len(), 3);
+        columns.column_mut(0).copy_from_slice(straight);
+        for (k, axis) in tangents(&location.normal).iter().enumerate() {
+            let leaning = whitened((axis * LEAN - location.normal) * force)?;
+            let changes = leaning.iter().zip(straight).map(|(leaning, straight)| (leaning - straight) / LEAN);
+            columns.column_mut(k + 1).iter_mut().zip(changes).for_each(|(value, change)| *value = change);
+        }
+        let factors = columns.qr();
+        let (mut q, mut r) = (factors.q(), factors.r());
+        // The first direction is that of the press itself.
+        if r[(0, 0)] < 0.0 {
+            q.column_mut(0).neg_mut();
+            r.row_mut(0).neg_mut();
+        }
+        self.directions.extend(q.columns(1, 2).iter().map(|value| *value as f32));
+        self.triangles.push(r.fixed_view::<3, 3>(0, 0).into_owned());
+        Ok(())
+    }
+
+    /// What parts of residuals along the three directions of a place come from: what a press explains of their square, less what its shear is
+    /// unexpected, and both shears over the pressing force. `None` where it would pull, or slip.
+    fn explained(&self, location: usize, parts: &Vector3<f64>) -> Option<(f64, [f64; 2])> {
+        let forces = self.triangles[location].solve_upper_triangular(parts)?;
+        let lean = [forces.y / forces.x, forces.z / forces.x];
+        let square = lean[0] * lean[0] + lean[1] * lean[1];
+        let unexpected = self.expected.map_or(0.0, |share| square / (share * share));
+        let stands = forces.x > 0.0 && square <= STEEPEST * STEEPEST;
+        stands.then_some((parts.norm_squared() - unexpected, lean))
+    }
+}
+
 /// Spacings within which locations are neighbours.
 const BESIDE: f64 = 2.0;
+
+/// Shear over the pressing force by which a press is leant to see what shear does.
+const LEAN: f64 = 0.1;
+/// Shear over the pressing force at most: beyond, tips slip.
+const STEEPEST: f64 = 1.0;
 
 /// Level whose response stands for the others where only its shape matters.
 pub(crate) const SHAPE: usize = 1;
@@ -66,18 +129,32 @@ impl Dictionary {
         let untouched = Untouched::of(model)?;
         let mut responses = Vec::with_capacity(locations.len() * forces.len() * channels);
         let mut directions = Vec::with_capacity(locations.len() * channels);
-        let mut out = vec![0.0; channels];
+        let signal = |location: &Location, force: Vector3<f64>| -> Result<Vec<f64>, ModelError> {
+            let mut out = vec![0.0; channels];
+            let contacts = vec![settings.indentation(location.position, force)];
+            model.response(&Stimulus { contacts, ..Stimulus::default() }, &mut out)?;
+            untouched.subtract(&mut out);
+            out.iter_mut().zip(gains).for_each(|(o, gain)| *o *= gain);
+            Ok(out)
+        };
+        let whitened =
+            |signal: Vec<f64>| -> Vec<f64> { signal.iter().zip(model.noise()).map(|(v, n)| v / n).collect() };
+        let leans = settings.search == Search::Near && settings.unknowns == Unknowns::Full && channels >= 3;
+        let mut shears = leans.then(|| Shears::new(settings.shear));
         for location in &locations {
             for (level, force) in forces.iter().enumerate() {
-                let contact = settings.indentation(location.position, -location.normal * *force);
-                model.response(&Stimulus { contacts: vec![contact], ..Stimulus::default() }, &mut out)?;
-                untouched.subtract(&mut out);
-                out.iter_mut().zip(gains).for_each(|(o, gain)| *o *= gain);
+                let out = signal(location, -location.normal * *force)?;
                 responses.extend(out.iter().map(|v| *v as f32));
                 if level == SHAPE {
-                    let whitened = || out.iter().zip(model.noise()).map(|(v, n)| v / n);
-                    let length = whitened().map(|v| v * v).sum::<f64>().sqrt();
-                    directions.extend(whitened().map(|v| if length > 0.0 { v / length } else { 0.0 } as f32));
+                    let straight = whitened(out);
+                    let length = straight.iter().map(|v| v * v).sum::<f64>().sqrt();
+                    directions
+                        .extend(straight.iter().map(|v| if length > 0.0 { v / length } else { 0.0 } as f32));
+                    if let Some(shears) = &mut shears {
+                        shears.add(location, (&straight, *force), |force| {
+                            Ok(whitened(signal(location, force)?))
+                        })?;
+                    }
                 }
             }
         }
@@ -85,7 +162,7 @@ impl Dictionary {
         let mismatches =
             neighbours.iter().enumerate().map(|(i, all)| mismatch(&directions, channels, i, all));
         let mismatches = mismatches.collect();
-        Ok(Self { locations, forces, channels, responses, directions, neighbours, mismatches })
+        Ok(Self { locations, forces, channels, responses, directions, shears, neighbours, mismatches })
     }
 
     /// Locations beside a place.
@@ -104,9 +181,42 @@ impl Dictionary {
         self.directions.chunks_exact(self.channels).map(move |direction| dot(direction, residuals).max(0.0))
     }
 
+    /// For every place the length of what a press there explains of whitened residuals, leaning where that explains more than it is unexpected; 0
+    /// where it would pull.
+    pub fn explained<'a>(&'a self, residuals: &'a [f32]) -> impl Iterator<Item = f32> + 'a {
+        let project = self.project(residuals).enumerate();
+        project.map(move |(location, straight)| self.leaning(location, straight, residuals).0)
+    }
+
+    /// Both shears over the pressing force of the press at a place that explains whitened residuals best.
+    pub fn lean(&self, location: usize, residuals: &[f32]) -> [f64; 2] {
+        self.leaning(location, dot(self.direction(location), residuals), residuals).1
+    }
+
+    /// What [`explained`](Self::explained) and [`lean`](Self::lean) say of a place; `straight` is its direction's part of the residuals.
+    fn leaning(&self, location: usize, straight: f32, residuals: &[f32]) -> (f32, [f64; 2]) {
+        let Some(shears) = self.shears.as_ref().filter(|_| straight > 0.0) else {
+            return (straight, [0.0; 2]);
+        };
+        let part = |k: usize| {
+            let start = (2 * location + k) * self.channels;
+            f64::from(dot(&shears.directions[start..start + self.channels], residuals))
+        };
+        let parts = Vector3::new(f64::from(straight), part(0), part(1));
+        match shears.explained(location, &parts) {
+            Some((square, lean)) if square > parts.x * parts.x => (square.sqrt() as f32, lean),
+            _ => (straight, [0.0; 2]),
+        }
+    }
+
     /// Unit direction of every place's response in units of the noise, end to end; 0 for a place that no channel responds to.
     pub fn directions(&self) -> &[f32] {
         &self.directions
+    }
+
+    /// Unit direction of one place's response in units of the noise.
+    pub fn direction(&self, location: usize) -> &[f32] {
+        &self.directions[location * self.channels..(location + 1) * self.channels]
     }
 
     /// Response of a place at a level, gains included, in the unit of the skin.
@@ -218,6 +328,43 @@ mod tests {
             let (a, b): (Vec<f32>, Vec<f32>) = (0..count).map(|i| (i as f32, (i % 7) as f32 - 2.0)).unzip();
             assert_eq!(dot(&a, &b), a.iter().zip(&b).map(|(a, b)| a * b).sum::<f32>());
         }
+    }
+
+    /// A press that leans is explained whole, and one that pulls not at all.
+    #[test]
+    fn a_place_explains_presses_that_lean() {
+        let model = crate::testing::grid(1.0);
+        let mut settings =
+            Settings { unknowns: Unknowns::Full, search: Search::Near, ..Settings::new(0.004, 2.0) };
+        let untouched = Untouched::of(&model).unwrap();
+        let gains = [1.0; 25];
+        let straight =
+            Dictionary::new(&model, (None, None), 0.004, &Settings::new(0.004, 2.0), &gains).unwrap();
+        let dictionary = Dictionary::new(&model, (None, None), 0.004, &settings, &gains).unwrap();
+        settings.shear = Some(1e-4);
+        let upright = Dictionary::new(&model, (None, None), 0.004, &settings, &gains).unwrap();
+        let location = &dictionary.locations[37];
+        let axes = tangents(&location.normal);
+        let left = |lean: [f64; 2], newtons: f64| -> Vec<f32> {
+            let force = (axes[0] * lean[0] + axes[1] * lean[1] - location.normal) * newtons;
+            let contacts = vec![settings.indentation(location.position, force)];
+            let mut out = vec![0.0; 25];
+            model.response(&Stimulus { contacts, ..Stimulus::default() }, &mut out).unwrap();
+            untouched.subtract(&mut out);
+            out.iter().map(|v| *v as f32).collect()
+        };
+        let residuals = left([0.3, -0.2], 0.4);
+        let whole = dot(&residuals, &residuals).sqrt();
+        let of = |d: &Dictionary| d.explained(&residuals).nth(37).unwrap() / whole;
+        assert!((of(&dictionary) - 1.0).abs() < 1e-5, "{}", of(&dictionary));
+        assert!(of(&straight) < 0.99);
+        // Nobody expects that much shear of this one.
+        assert_eq!(of(&upright), of(&straight));
+        let lean = dictionary.lean(37, &residuals);
+        assert!((lean[0] - 0.3).abs() < 1e-4 && (lean[1] + 0.2).abs() < 1e-4, "{lean:?}");
+        assert_eq!(straight.lean(37, &residuals), [0.0; 2]);
+        let pulls: Vec<f32> = residuals.iter().map(|v| -v).collect();
+        assert_eq!(dictionary.explained(&pulls).nth(37), Some(0.0));
     }
 
     #[test]

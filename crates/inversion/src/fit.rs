@@ -41,6 +41,16 @@ pub(crate) enum Datum {
 }
 
 impl Datum {
+    /// What is left of the reading where something else makes `signal` of it.
+    pub(crate) fn less(self, signal: f64) -> Self {
+        match self {
+            Self::Exact(v, w) => Self::Exact(v - signal, w),
+            Self::AtLeast(v, w) => Self::AtLeast(v - signal, w),
+            Self::AtMost(v, w) => Self::AtMost(v - signal, w),
+            Self::None => Self::None,
+        }
+    }
+
     /// Square of the reading in units of its noise; 0 where there is none.
     pub(crate) fn square(self) -> f64 {
         match self {

@@ -10,6 +10,7 @@
 mod describe;
 mod modes;
 mod nearby;
+mod pursuit;
 mod search;
 mod starts;
 #[cfg(test)]

@@ -1,17 +1,15 @@
 //! The search for contacts where each place has a pattern of its own.
 //!
 //! Problem: a skin with very many elements tells every place from every other, and a contact is found as soon as somebody knows roughly where
-//! it is. To look for other locations that explain the same readings, as a skin of few elements needs, is then most of the time of a frame, and to
-//! find several contacts one after the other refines the first again and again. Method: least squares from where contacts are supposed to be;
-//! what leaves no more than noise does is the answer. Where nothing does, it is begun at peaks of the dictionary: first on readings whose strong
-//! ones count for less, for there the minimum of a contact is wide (graduated non-convexity, A. Blake and A. Zisserman, *Visual Reconstruction*,
-//! 1987). Where one contact is not enough, all peaks of what is left that stand out are taken in together,
-//! refined together, and those that the readings do without are dropped (compressive sampling matching pursuit, D. Needell and J. A. Tropp,
-//! *Appl. Comput. Harmon. Anal.* 26 (2009) 301; dropped by Wald's statistic, A. Wald, *Trans. Am. Math. Soc.* 54 (1943) 426). That a minimum leaves no
-//! more than noise in all readings together says little of the few that one contact changes: what stands out of the rest is taken in all the
-//! same, and the readings beneath a contact are judged by themselves (`inverter/nearby.rs`). Assumptions: as the
-//! [search's](crate::Inverter), and a minimum that explains the readings there is the only one. Cost: one minimisation and a product with the
-//! dictionary where somebody knows; such a product and a minimisation for each of some rounds where nobody does.
+//! it is. To look for other locations that explain the same readings, as a skin of few elements needs, is then most of the time of a frame.
+//! Method: least squares from where contacts are supposed to be; what leaves no more than noise does is the answer. Where nothing does, contacts
+//! are looked for everywhere (`inverter/pursuit.rs`). Those that the readings do without are dropped: Wald's statistic (A. Wald, *Trans. Am. Math.
+//! Soc.* 54 (1943) 426) says which may be, and the ratio of likelihoods whether, for the statistic falls where a force is hardly known, however
+//! much it explains (W. W. Hauck and A. Donner, *J. Am. Stat. Assoc.* 72 (1977) 851). That a minimum leaves no more than noise in all readings
+//! together says little of the few that one contact changes: what stands out of the rest is taken in all the same, and the readings beneath a contact
+//! are judged by themselves (`inverter/nearby.rs`). Assumptions: as the [search's](crate::Inverter), and a minimum that explains the readings
+//! there is the only one. Cost: one minimisation and a product with the dictionary where somebody knows; some hundred minimisations of one
+//! contact where nobody does.
 
 use dermis_model::{Indentation, Unknown};
 
@@ -20,18 +18,8 @@ use crate::fit::{Datum, Minimum, Problem};
 use crate::inverter::Inverter;
 use crate::settings::InverterError;
 
-/// Rounds in which further contacts are taken in, at most.
-const ROUNDS: usize = 8;
-/// Share of the highest peak's gain from which on others are taken in with it: lower ones may be what the highest leaves of itself until it is
-/// refined.
+/// Share of the highest peak's gain from which on a search may begin at others: lower ones are what the highest leaves of itself.
 const TOGETHER: f64 = 0.3;
-/// Share of a reading that a first fit leaves to it.
-const COARSE: f64 = 0.2;
-/// Peaks that a single contact is begun at, at most.
-const ALONE: usize = 4;
-/// Locations that a single contact is begun at besides, at most, and how many spacings of the dictionary they are apart.
-const ELSEWHERE: usize = 16;
-const BESIDE: f64 = 1.2;
 /// Deviations of its expectation up to which a sum of squared deviations is what noise leaves: noise alone begins one search of a thousand
 /// anew, which takes longer than the others.
 pub(crate) const PLAUSIBLE: f64 = 3.0;
@@ -45,15 +33,6 @@ enum LocalFit {
     Explains(Minimum),
     /// The best of those that do not explain them; `None` where no contacts were given.
     Fails(Option<Minimum>),
-}
-
-/// How long further contacts are taken in.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Until {
-    /// Until what is left of all readings is no more than noise.
-    Explained,
-    /// Until no place of the dictionary explains of it what a contact must gain.
-    NothingStandsOut,
 }
 
 impl Inverter {
@@ -74,18 +53,16 @@ impl Inverter {
         let problem = self.problem(&data);
         let most = self.most(&data);
         let best = match self.fit_locally(&problem, &data, before, starts)? {
-            LocalFit::Explains(minimum) => {
-                self.take_in(&problem, &data, self.settle(&data, minimum)?, (most, Until::NothingStandsOut))?
-            }
+            LocalFit::Explains(minimum) => self.complete(&problem, &data, minimum, most)?,
             LocalFit::Fails(best) => {
                 // Contacts that lie wrong would be in the way of those that are there.
                 let found = self.pursue(&problem, &data, most)?;
-                let best = match best {
-                    Some(best) if self.cost(&best) <= self.cost(&found) && self.apart(&best) => best,
+                match best {
+                    Some(best) if self.cost(&best) <= self.cost(&found) && self.apart(&best) => {
+                        self.complete(&problem, &data, best, most)?
+                    }
                     _ => found,
-                };
-                // What one contact left that was not quite right may have been taken for another.
-                self.without_idle(&problem, self.settle(&data, best)?)?
+                }
             }
         };
         Ok(self.solution(&best, &data))
@@ -138,122 +115,28 @@ impl Inverter {
         Ok(LocalFit::Fails(best))
     }
 
-    /// Takes in what stands out of what is left, until nothing does. It is first done on readings whose strong ones count for less: what is
-    /// left of a contact that is not quite right there hides no other one.
-    fn pursue(&self, problem: &Problem<'_>, data: &[Datum], most: usize) -> Result<Minimum, InverterError> {
-        let coarse = coarsened(data);
-        let smooth = self.problem(&coarse);
-        let mut best = Minimum::untouched(data);
-        // The best is taken in whatever it gains: the caller knows that there is a contact. Where shear moves the highest peak to another place,
-        // the next one is right.
-        for peak in self.peaks_left(data, &best, ALONE, 0.0) {
-            let roughly = smooth.minimise(vec![peak.clone()])?;
-            let alone = self.explains(&roughly, &coarse);
-            let minimum = if alone {
-                problem.minimise(roughly.contacts)?
-            } else {
-                let all = self.take_in(&smooth, &coarse, roughly, (most, Until::Explained))?;
-                self.without_idle(problem, problem.minimise(all.contacts)?)?
-            };
-            if best.contacts.is_empty() || self.cost(&minimum) < self.cost(&best) {
-                best = minimum;
-            }
-            if self.explains(&best, data) || !alone {
-                break;
-            }
-            let minimum = problem.minimise(vec![peak])?;
-            if self.cost(&minimum) < self.cost(&best) {
-                best = minimum;
-            }
-            if self.explains(&best, data) {
-                break;
-            }
-        }
-        best = self.elsewhere(problem, data, (&smooth, &coarse), best)?;
-        if best.contacts.len() == 1 {
-            best = self.settle(data, best)?;
-        }
-        self.take_in(problem, data, best, (most, Until::NothingStandsOut))
-    }
-
-    /// A single contact that explains readings which `best` does not, begun at locations beside the peaks as well: where shear or a beam beneath
-    /// moves the pattern, the true place lies on a slope of the dictionary's scores.
-    fn elsewhere(
-        &self,
-        problem: &Problem<'_>,
-        data: &[Datum],
-        (smooth, coarse): (&Problem<'_>, &[Datum]),
-        mut best: Minimum,
-    ) -> Result<Minimum, InverterError> {
-        if self.explains(&best, data) {
-            return Ok(best);
-        }
-        for start in self.matches(data, &Minimum::untouched(data).signal, ELSEWHERE, BESIDE) {
-            let roughly = smooth.minimise(vec![start])?;
-            if !self.explains(&roughly, coarse) {
-                continue;
-            }
-            let minimum = problem.minimise(roughly.contacts)?;
-            if self.cost(&minimum) < self.cost(&best) {
-                best = minimum;
-            }
-            if self.explains(&best, data) {
-                break;
-            }
-        }
-        Ok(best)
-    }
-
-    /// Takes in peaks of what contacts leave until they explain the readings, or, though they do, until none stands out: a contact that changes
-    /// some tens of many readings is lost in the sum of all of them.
-    fn take_in(
-        &self,
-        problem: &Problem<'_>,
-        data: &[Datum],
-        mut best: Minimum,
-        (most, until): (usize, Until),
-    ) -> Result<Minimum, InverterError> {
-        for _ in 0..ROUNDS {
-            let room = most.saturating_sub(best.contacts.len());
-            if room == 0 || until == Until::Explained && self.explains(&best, data) {
-                break;
-            }
-            let further = self.peaks_left(data, &best, room, self.settings().evidence);
-            if further.is_empty() {
-                break;
-            }
-            // Together; where that leads nowhere, one of them was in the way of the others.
-            let each = further.iter().map(|one| vec![one.clone()]).filter(|_| further.len() > 1);
-            let mut better = None;
-            for further in std::iter::once(further.clone()).chain(each) {
-                let all = best.contacts.iter().cloned().chain(further).collect();
-                let minimum = self.without_idle(problem, problem.minimise(all)?)?;
-                if self.cost(&minimum) < self.cost(&best) {
-                    better = Some(minimum);
-                    break;
-                }
-            }
-            match better {
-                Some(minimum) => best = minimum,
-                None => break,
-            }
-        }
-        Ok(best)
-    }
-
     /// Drops contacts that the readings do without, and one of two that have run into each other.
-    fn without_idle(&self, problem: &Problem<'_>, mut minimum: Minimum) -> Result<Minimum, InverterError> {
+    pub(crate) fn without_idle(
+        &self,
+        problem: &Problem<'_>,
+        mut minimum: Minimum,
+    ) -> Result<Minimum, InverterError> {
         while minimum.contacts.len() > 1 {
             let gains: Vec<f64> = (0..minimum.contacts.len()).map(|i| self.gain(&minimum, i)).collect();
             let Some(weakest) = (0..gains.len()).min_by(|a, b| gains[*a].total_cmp(&gains[*b])) else {
                 break;
             };
-            if gains[weakest] >= self.settings().evidence && self.apart(&minimum) {
+            let apart = self.apart(&minimum);
+            if gains[weakest] >= self.settings().evidence && apart {
                 break;
             }
             let mut fewer = minimum.contacts.clone();
             fewer.remove(weakest);
-            minimum = problem.minimise(fewer)?;
+            let fewer = problem.minimise(fewer)?;
+            if apart && self.cost(&fewer) > self.cost(&minimum) {
+                break;
+            }
+            minimum = fewer;
         }
         Ok(minimum)
     }
@@ -284,23 +167,29 @@ impl Inverter {
         block.cholesky().map_or(0.0, |factor| values.dot(&factor.solve(&values)))
     }
 
-    fn explains(&self, minimum: &Minimum, data: &[Datum]) -> bool {
+    pub(crate) fn explains(&self, minimum: &Minimum, data: &[Datum]) -> bool {
         let unknowns = minimum.contacts.len() * self.settings().unknowns.count();
         let freedom = crate::inverter::counted(data).saturating_sub(unknowns) as f64;
         minimum.chi2 < (1.0 + ZERO) * (freedom + PLAUSIBLE * (2.0 * freedom).sqrt())
     }
 
     /// What a minimum leaves, and what its contacts must gain.
-    fn cost(&self, minimum: &Minimum) -> f64 {
+    pub(crate) fn cost(&self, minimum: &Minimum) -> f64 {
         minimum.chi2 + self.settings().evidence * minimum.contacts.len() as f64
     }
 
     /// Presses at the locations of the dictionary that explain what `best` leaves, each better than its neighbours do, by `least` or more, and not
     /// much worse than the best of them.
-    fn peaks_left(&self, data: &[Datum], best: &Minimum, room: usize, least: f64) -> Vec<Indentation> {
+    pub(crate) fn peaks_left(
+        &self,
+        data: &[Datum],
+        best: &Minimum,
+        room: usize,
+        least: f64,
+    ) -> Vec<Indentation> {
         let left = crate::inverter::residuals(data, &best.signal);
         let dictionary = self.dictionary();
-        let scores: Vec<f32> = dictionary.project(&left).collect();
+        let scores: Vec<f32> = dictionary.explained(&left).collect();
         let mut peaks: Vec<usize> = (0..scores.len())
             .filter(|i| dictionary.neighbours(*i).iter().all(|other| scores[*other] <= scores[*i]))
             .filter(|i| {
@@ -324,20 +213,6 @@ impl Inverter {
         }
         chosen
     }
-}
-
-/// The same readings, of which the strong ones count for less: what fits the weak ones about a contact leads to it from farther away than what
-/// fits those beneath it, whose patterns change within a millimetre.
-fn coarsened(data: &[Datum]) -> Vec<Datum> {
-    let less = |value: f64, weight: f64| 1.0 / weight.recip().hypot(COARSE * value);
-    data.iter()
-        .map(|datum| match *datum {
-            Datum::Exact(v, w) => Datum::Exact(v, less(v, w)),
-            Datum::AtLeast(v, w) => Datum::AtLeast(v, less(v, w)),
-            Datum::AtMost(v, w) => Datum::AtMost(v, less(v, w)),
-            Datum::None => Datum::None,
-        })
-        .collect()
 }
 
 #[cfg(test)]
@@ -382,25 +257,6 @@ mod tests {
             matches(&wrong, truth);
             matches(&inverter.search_near(&readings, &nowhere.contacts, &[]).unwrap(), truth);
         }
-    }
-
-    /// A place that is on no peak is found from the locations beside the peaks, and what explains the readings is left as it is.
-    #[test]
-    fn a_contact_is_looked_for_beside_the_peaks() {
-        let (inverter, model) = inverter();
-        let truth = press(0.0052, -0.0031, 0.9);
-        let readings = read(&model, std::slice::from_ref(&truth), &mut random(6));
-        let data = inverter.data(&readings);
-        let coarse = coarsened(&data);
-        let (problem, smooth) = (inverter.problem(&data), inverter.problem(&coarse));
-        let from = |best| inverter.elsewhere(&problem, &data, (&smooth, &coarse), best).unwrap();
-        let found = from(Minimum::untouched(&data));
-        assert_eq!(found.contacts.len(), 1);
-        assert!((found.contacts[0].position - truth.position).norm() < 2e-4, "{found:?}");
-        assert!(inverter.explains(&found, &data));
-        let (location, chi2) = (found.contacts[0].position, found.chi2);
-        let again = from(found);
-        assert_eq!((again.contacts[0].position, again.chi2), (location, chi2));
     }
 
     /// What a light press leaves open of its shear is what was expected of it, and no more.

@@ -6,12 +6,12 @@
 //! Method: the readings that a contact changes by more than their noise are judged by themselves (Pearson's χ² of a part). Where they do not
 //! fit, the search is continued with derivatives that are differences of responses, and from a lattice of places around the contact, whose
 //! spacing is the way over which the pattern there changes as much as it is strong: all are compared by one response each, the best are
-//! refined, and the likeliest minimum is the answer (multistart; A. H. G. Rinnooy Kan and G. T. Timmer, *Math. Program.* 39 (1987) 27). Assumptions:
-//! as the search's; the other contacts are about right. Cost: nothing but a sum where the readings fit, which they do in all but one of
-//! some hundred frames; otherwise some 50 responses and five minimisations for a contact, of two contacts at most.
+//! refined, and the likeliest minimum is the answer (multistart; A. H. G. Rinnooy Kan and G. T. Timmer, *Math. Program.* 39 (1987) 27). Of several
+//! contacts, each is settled in what the others leave (`inverter/pursuit.rs`). Assumptions: as the search's. Cost: nothing but a sum where the
+//! readings fit, which they do in all but one of some hundred frames; otherwise some 50 responses and five minimisations, twice at most.
 
 use dermis_model::{Indentation, Unknowns, tangents};
-use nalgebra::Vector3;
+use nalgebra::{Point3, Vector3};
 
 use super::{Inverter, residuals};
 use crate::fit::{Datum, Minimum, Problem};
@@ -30,7 +30,7 @@ const RINGS: usize = 4;
 const STARTS: usize = 4;
 /// Spacings of the lattice that these are apart.
 const APART: f64 = 1.5;
-/// Contacts that are settled, one after the other, the one that fits worst first.
+/// Times that a minimum is left for one beside it, at most.
 const PASSES: usize = 2;
 /// What a pass must gain of the sum of squared deviations that another is worth its time.
 const WORTH: f64 = 4.0;
@@ -42,26 +42,25 @@ const HARDER: f64 = 5.0;
 impl Inverter {
     /// Whether what is left beneath every contact is what noise leaves there.
     pub(crate) fn fits_beneath(&self, data: &[Datum], minimum: &Minimum) -> Result<bool, InverterError> {
-        Ok(self.worst(&self.problem(data), data, minimum)?.is_none())
+        Ok(self.worst(&self.problem(data), data, minimum, &[])?.is_none())
     }
 
-    /// The likeliest of this minimum and of those beside it; itself, at once, where the readings beneath its contacts fit.
+    /// The likeliest of this minimum of one contact and of those beside it; itself, at once, where the readings beneath it fit.
     pub(crate) fn settle(&self, data: &[Datum], minimum: Minimum) -> Result<Minimum, InverterError> {
         let careful = Problem { by_differences: true, ..self.problem(data) };
         let mut best = minimum;
         for _ in 0..PASSES {
             let before = best.chi2;
-            let Some(mut worst) = self.worst(&careful, data, &best)? else { break };
-            let polished = careful.minimise(best.contacts.clone())?;
-            if self.keep(&mut best, polished) {
-                let Some(now) = self.worst(&careful, data, &best)? else { break };
-                worst = now;
+            if self.fits_beneath(data, &best)? {
+                break;
             }
-            for start in self.beside(&careful, data, &best, worst)? {
-                let mut all = best.contacts.clone();
-                all[worst] = start;
-                let moved = careful.minimise(all)?;
-                if self.keep(&mut best, moved) && self.worst(&careful, data, &best)?.is_none() {
+            let polished = careful.minimise(best.contacts.clone())?;
+            if keep(&mut best, polished) && self.fits_beneath(data, &best)? {
+                break;
+            }
+            for start in self.beside(&careful, data, &best)? {
+                let moved = careful.minimise(vec![start])?;
+                if keep(&mut best, moved) && self.fits_beneath(data, &best)? {
                     return Ok(best);
                 }
             }
@@ -72,26 +71,21 @@ impl Inverter {
         Ok(best)
     }
 
-    /// Whether `other`, of as many contacts, takes the place of `best`.
-    fn keep(&self, best: &mut Minimum, other: Minimum) -> bool {
-        let better = other.chi2 < best.chi2 && self.apart(&other);
-        if better {
-            *best = other;
-        }
-        better
-    }
-
-    /// The contact beneath which the readings fit worst; `None` where all do.
-    fn worst(
+    /// The contact beneath which the readings fit worst, of those that are not at the places `but`; `None` where all do.
+    pub(super) fn worst(
         &self,
         problem: &Problem<'_>,
         data: &[Datum],
         minimum: &Minimum,
+        but: &[Point3<f64>],
     ) -> Result<Option<usize>, InverterError> {
         let left = residuals(data, &minimum.signal);
         let mut worst: Option<(f64, usize)> = None;
-        for index in 0..minimum.contacts.len() {
-            let excess = excess(&self.own_signal(problem, minimum, index)?, &left, data);
+        for (index, contact) in minimum.contacts.iter().enumerate() {
+            if but.contains(&contact.position) {
+                continue;
+            }
+            let excess = excess(&own_signal(problem, minimum, &[index])?, &left, data);
             if excess > worst.map_or(0.0, |(most, _)| most) {
                 worst = Some((excess, index));
             }
@@ -99,34 +93,16 @@ impl Inverter {
         Ok(worst.map(|(_, index)| index))
     }
 
-    /// Signal of one contact by itself.
-    fn own_signal(
-        &self,
-        problem: &Problem<'_>,
-        minimum: &Minimum,
-        index: usize,
-    ) -> Result<Vec<f64>, InverterError> {
-        if minimum.contacts.len() == 1 {
-            return Ok(minimum.signal.clone());
-        }
-        let mut own = vec![0.0; minimum.signal.len()];
-        problem.signal(&minimum.contacts[index..=index], &mut own)?;
-        Ok(own)
-    }
-
-    /// Contacts around one of a minimum's that explain best what the others leave, each scaled to do so.
+    /// Contacts around the one of a minimum that explain readings best, each scaled to do so.
     fn beside(
         &self,
         problem: &Problem<'_>,
         data: &[Datum],
         minimum: &Minimum,
-        index: usize,
     ) -> Result<Vec<Indentation>, InverterError> {
-        let contact = &minimum.contacts[index];
-        let own = self.own_signal(problem, minimum, index)?;
-        let others: Vec<f64> = minimum.signal.iter().zip(&own).map(|(all, own)| all - own).collect();
-        let left = residuals(data, &others);
-        let step = self.pattern_step(problem, data, contact, &own)?;
+        let Some(contact) = minimum.contacts.first() else { return Ok(Vec::new()) };
+        let left = residuals(data, &vec![0.0; data.len()]);
+        let step = self.pattern_step(problem, data, contact, &minimum.signal)?;
         let rings = (self.spacing / step).floor().clamp(1.0, RINGS as f64) as i32;
         let across = if self.settings.unknowns == Unknowns::Line { 0 } else { rings };
         let (_, normal) = self.surface().project(&contact.position);
@@ -187,6 +163,30 @@ impl Inverter {
         }
         Ok(least.max(self.spacing / RINGS as f64))
     }
+}
+
+/// Signal of some of a minimum's contacts by themselves.
+pub(super) fn own_signal(
+    problem: &Problem<'_>,
+    minimum: &Minimum,
+    contacts: &[usize],
+) -> Result<Vec<f64>, InverterError> {
+    if minimum.contacts.len() == contacts.len() {
+        return Ok(minimum.signal.clone());
+    }
+    let contacts: Vec<Indentation> = contacts.iter().map(|k| minimum.contacts[*k].clone()).collect();
+    let mut own = vec![0.0; minimum.signal.len()];
+    problem.signal(&contacts, &mut own)?;
+    Ok(own)
+}
+
+/// Whether `other` takes the place of `best`: it explains more.
+fn keep(best: &mut Minimum, other: Minimum) -> bool {
+    let better = other.chi2 < best.chi2;
+    if better {
+        *best = other;
+    }
+    better
 }
 
 /// A signal in units of the noise of readings; what cannot be relied on is 0.
@@ -326,7 +326,7 @@ mod tests {
         let step = inverter.pattern_step(&problem, &data, &minimum.contacts[0], &minimum.signal).unwrap();
         // A wave of this pitch changes as much as it is strong within a sixth of it, which is finer than the finest lattice.
         assert!((step - inverter.spacing / RINGS as f64).abs() < 1e-12, "{step}");
-        let starts = inverter.beside(&problem, &data, &minimum, 0).unwrap();
+        let starts = inverter.beside(&problem, &data, &minimum).unwrap();
         assert!((1..=STARTS).contains(&starts.len()));
         for (i, a) in starts.iter().enumerate() {
             assert!((a.position - minimum.contacts[0].position).norm() <= inverter.spacing * 1.001);

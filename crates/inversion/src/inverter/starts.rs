@@ -68,7 +68,7 @@ impl Inverter {
         spacings: f64,
     ) -> Vec<Indentation> {
         let left = residuals(data, signal);
-        let mut scores: Vec<(f32, usize)> = self.dictionary.project(&left).zip(0..).collect();
+        let mut scores: Vec<(f32, usize)> = self.dictionary.explained(&left).zip(0..).collect();
         scores.sort_by(|a, b| b.0.total_cmp(&a.0));
         let mut chosen: Vec<Indentation> = Vec::new();
         for (_, index) in scores {
@@ -102,7 +102,10 @@ impl Inverter {
             .zip(&self.dictionary.forces)
             .min_by(|a, b| (a.0.max(1e-9).ln().abs()).total_cmp(&b.0.max(1e-9).ln().abs()))
             .map_or(0.0, |(share, force)| share * force);
-        let pressing = -location.normal * force.clamp(1e-3, self.settings.force_max);
-        self.settings.indentation(location.position, pressing)
+        let pressing = force.clamp(1e-3, self.settings.force_max);
+        let lean = self.dictionary.lean(index, left);
+        let axes = tangents(&location.normal);
+        let shear = axes[0] * (lean[0] * pressing) + axes[1] * (lean[1] * pressing);
+        self.settings.indentation(location.position, shear - location.normal * pressing)
     }
 }
