@@ -92,6 +92,9 @@ struct Load {
     pressures: Vec<(usize, &'static str, f64)>,
 }
 
+/// Node, direction and force \[N\] of a component of a load that moves something.
+type Move = (usize, usize, f64);
+
 /// What a load makes of each node and each sensor.
 struct Answer {
     /// \[m\].
@@ -134,43 +137,45 @@ impl Model {
                 let _ = writeln!(s, "{}, {}", n + 1, k + 1);
             }
         }
-        match self.own_moves() {
-            Some(own) => self.at_once(&own, &mut s),
-            None => self.one_by_one(&mut s),
+        let moves = self.moves();
+        match self.own_moves(&moves) {
+            Some(own) => self.at_once(&moves, &own, &mut s),
+            None => self.one_by_one(&moves, &mut s),
         }
         s
     }
 
     /// Of each load, the node and direction of the strongest of its forces where no other load acts, and that force. `None` where they are
     /// not several loads, or not of forces alone, or one of them has no such force that is about as strong as its others.
-    fn own_moves(&self) -> Option<Vec<(usize, usize, f64)>> {
+    fn own_moves(&self, moves: &[Vec<Move>]) -> Option<Vec<Move>> {
         if self.loads.len() < 2 || self.loads.iter().any(|load| !load.pressures.is_empty()) {
             return None;
         }
         let mut acting = HashMap::new();
-        for (n, k, _) in self.loads.iter().flat_map(|load| self.moves(load)) {
+        for (n, k, _) in moves.iter().flatten() {
             *acting.entry((n, k)).or_insert(0) += 1;
         }
-        let strongest = |of: &mut dyn Iterator<Item = (usize, usize, f64)>| {
-            of.max_by(|a, b| a.2.abs().total_cmp(&b.2.abs()))
-        };
-        self.loads
+        let stronger = |a: &&Move, b: &&Move| a.2.abs().total_cmp(&b.2.abs());
+        moves
             .iter()
-            .map(|load| {
-                let all = strongest(&mut self.moves(load))?;
-                let own = strongest(&mut self.moves(load).filter(|(n, k, _)| acting[&(*n, *k)] == 1))?;
-                (own.2.abs() > 0.1 * all.2.abs()).then_some(own)
+            .map(|moves| {
+                let all = moves.iter().max_by(stronger)?;
+                let own = moves.iter().filter(|(n, k, _)| acting[&(n, k)] == 1).max_by(stronger)?;
+                (own.2.abs() > 0.1 * all.2.abs()).then_some(*own)
             })
             .collect()
     }
 
-    /// Node, direction and force of each component of a load that moves something.
-    fn moves(&self, load: &Load) -> impl Iterator<Item = (usize, usize, f64)> {
+    /// What moves something of each load.
+    fn moves(&self) -> Vec<Vec<Move>> {
         let held: HashMap<usize, [bool; 3]> = self.held.iter().copied().collect();
-        load.forces
-            .iter()
-            .flat_map(|(n, force)| force.iter().enumerate().map(|(k, f)| (*n, k, *f)))
-            .filter(move |(n, k, f)| *f != 0.0 && !held.get(n).is_some_and(|held| held[*k]))
+        let moves = |(n, k, f): &Move| *f != 0.0 && !held.get(n).is_some_and(|held| held[*k]);
+        let of = |load: &Load| -> Vec<Move> {
+            let components =
+                load.forces.iter().flat_map(|(n, force)| force.iter().enumerate().map(|(k, f)| (*n, k, *f)));
+            components.filter(moves).collect()
+        };
+        self.loads.iter().map(of).collect()
     }
 
     /// All loads by one factorisation.
@@ -178,14 +183,14 @@ impl Model {
     /// CalculiX factors the matrix anew for every static step. Its Green functions share one factor, but each is of a force on one node in
     /// one direction. So each load gets a node whose displacement is the load's work, Σ f u, in place of one displacement in that sum:
     /// a unit force on it is the load.
-    fn at_once(&self, own: &[(usize, usize, f64)], s: &mut String) {
+    fn at_once(&self, moves: &[Vec<Move>], own: &[Move], s: &mut String) {
         let first = self.nodes.len() + 1;
         s.push_str("*NODE\n");
         for k in 0..own.len() {
             let _ = writeln!(s, "{}, 0, 0, 0", first + k);
         }
-        for (k, (load, (own_node, own_direction, f))) in self.loads.iter().zip(own).enumerate() {
-            let others = || self.moves(load).filter(|(n, d, _)| (n, d) != (own_node, own_direction));
+        for (k, (moves, (own_node, own_direction, f))) in moves.iter().zip(own).enumerate() {
+            let others = || moves.iter().filter(|(n, d, _)| (n, d) != (own_node, own_direction));
             let _ = writeln!(s, "*EQUATION\n{}", 2 + others().count());
             let _ = writeln!(s, "{}, {}, {f:.12e}", own_node + 1, own_direction + 1);
             for (n, d, f) in others() {
@@ -204,13 +209,13 @@ impl Model {
         self.end_step(s);
     }
 
-    fn one_by_one(&self, s: &mut String) {
-        for load in &self.loads {
+    fn one_by_one(&self, moves: &[Vec<Move>], s: &mut String) {
+        for (load, moves) in self.loads.iter().zip(moves) {
             s.push_str("*STEP\n*STATIC\n");
             if !load.forces.is_empty() {
                 s.push_str("*CLOAD, OP=NEW\n");
             }
-            for (n, k, f) in self.moves(load) {
+            for (n, k, f) in moves {
                 let _ = writeln!(s, "{}, {}, {f:.12e}", n + 1, k + 1);
             }
             if !load.pressures.is_empty() {
@@ -402,14 +407,14 @@ mod tests {
             load(vec![force(0, [5.0, 0.0, 0.0]), force(20, [0.0, -0.2, 0.1]), force(11, [0.0, 0.0, 0.1])]),
         ];
         let model = strip(loads.clone());
-        assert!(model.nodes[0].x < 1e-9 && model.own_moves().is_some());
+        assert!(model.nodes[0].x < 1e-9 && model.own_moves(&model.moves()).is_some());
         let at_once = match model.solve() {
             Err(CalculixError::Missing) => return println!("skipped: {}", CalculixError::Missing),
             answers => answers.unwrap(),
         };
         for (load, together) in loads.into_iter().zip(&at_once) {
             let alone = strip(vec![load]);
-            assert!(alone.own_moves().is_none());
+            assert!(alone.own_moves(&alone.moves()).is_none());
             let alone = alone.solve().unwrap().remove(0);
             let moves = |a: &Answer| a.displacements.iter().flat_map(|u| [u.x, u.y, u.z]).collect::<Vec<_>>();
             for (what, ours, theirs) in [
@@ -426,7 +431,8 @@ mod tests {
         }
         // The same load twice has no force of its own.
         let twice = load(vec![force(10, [0.1, 0.0, 0.0])]);
-        assert!(strip(vec![twice.clone(), twice]).own_moves().is_none());
+        let same = strip(vec![twice.clone(), twice]);
+        assert!(same.own_moves(&same.moves()).is_none());
     }
 
     #[test]
