@@ -5,6 +5,10 @@
 //! refined together on the model ([`Problem::minimise`](crate::fit::Problem::minimise)). Only [`Pairs`](crate::pairs::Pairs) and
 //! [`Inverter::sparse`](crate::Inverter::sparse) add its signals up. Each asks
 //! [`ForwardModel::superposes`] first.
+//!
+//! Where shear is looked for and every place has a pattern of its own, a place stands for all presses there that lean (matched subspace detector; L. L.
+//! Scharf and B. Friedlander, *IEEE Trans. Signal Process.* 42 (1994) 2146), less what their shear is unexpected: by straight presses alone, one
+//! that leans is taken for another some millimetres away.
 
 use dermis_model::{ForwardModel, Stimulus, Unknowns, Untouched, tangents};
 use dermis_skin::{ModelError, Surface};
