@@ -18,7 +18,7 @@ use crate::run::run as execute;
 
 pub(super) const SKIN: &str = "launch/skins/insight-thumb.toml";
 const MODEL: &str = "models/insight-thumb";
-/// Plan, record, what is less than in the thesis or than was requested; in the order in which they are measured.
+/// Plan, record, what is less than in the thesis or than was requested; in the order in which they are measured: the longest last.
 const PLANS: [(&str, &str, &str); 4] = [
     (
         "evaluate",
@@ -26,12 +26,12 @@ const PLANS: [(&str, &str, &str); 4] = [
         "150 locations with two presses each; the thesis has 187,358 samples at 3,800 locations",
     ),
     ("fovea", "insight-fovea", "60 locations with two presses each"),
-    ("large-tip", "insight-large-tip", "100 locations with two presses each; widths are not estimated"),
     (
         "contacts",
         "insight-contacts",
         "ten presses of each number of contacts, each with some ten touched frames",
     ),
+    ("large-tip", "insight-large-tip", "100 locations with two presses each; widths are not estimated"),
 ];
 /// \[N\] at which bins begin.
 pub(super) const BINS: &str = "0.03,0.1,0.3,1";
