@@ -6,9 +6,9 @@
 //! [`Inverter::sparse`](crate::Inverter::sparse) add its signals up. Each asks
 //! [`ForwardModel::superposes`] first.
 //!
-//! Where shear is looked for and every place has a pattern of its own, a place stands for all presses there that lean (matched subspace detector; L. L.
-//! Scharf and B. Friedlander, *IEEE Trans. Signal Process.* 42 (1994) 2146), less what their shear is unexpected: by straight presses alone, one
-//! that leans is taken for another some millimetres away.
+//! Where shear is looked for and every place has a pattern of its own, a place stands for presses there that lean, too (matched subspace detector; L. L.
+//! Scharf and B. Friedlander, *IEEE Trans. Signal Process.* 42 (1994) 2146). Shear counts against such a press by its square, in units of what is
+//! expected. Among straight presses alone, one that leans looks most like another some millimetres away.
 
 use dermis_model::{ForwardModel, Stimulus, Unknowns, Untouched, tangents};
 use dermis_skin::{ModelError, Surface};
@@ -47,13 +47,14 @@ pub(crate) struct Dictionary {
     mismatches: Vec<f64>,
 }
 
-/// What a press does whose force leans: per place, the parts of the responses to shear along both tangents that its own direction does not
-/// have, so that all three are orthonormal.
+/// What shear changes at every place.
 #[derive(Debug)]
 struct Shears {
-    /// locations × 2 × channels.
+    /// locations × 2 × channels, in units of the noise: together with the direction of a straight press an orthonormal basis of the responses to all
+    /// presses at a place.
     directions: Vec<f32>,
-    /// For every place the responses of a pressing force and of both shears, of as many newtons, in these directions: rows of the upper triangle.
+    /// For every place the responses to a pressing force and to a shear along either tangent, each as large as that of [`SHAPE`], in this basis:
+    /// columns of an upper triangle.
     triangles: Vec<Matrix3<f64>>,
     /// Standard deviation of shear along each direction over the pressing force; any is as likely where absent.
     expected: Option<f64>,
@@ -91,9 +92,9 @@ impl Shears {
         Ok(())
     }
 
-    /// What parts of residuals along the three directions of a place come from: what a press explains of their square, less what its shear is
-    /// unexpected, and both shears over the pressing force. `None` where it would pull, or slip.
-    fn explained(&self, location: usize, parts: &Vector3<f64>) -> Option<(f64, [f64; 2])> {
+    /// The press that makes these parts of residuals along the three directions of a place: what it explains of their square, its shear counted
+    /// against it, and both shears over the pressing force. `None` where it would pull, or slip.
+    fn press(&self, location: usize, parts: &Vector3<f64>) -> Option<(f64, [f64; 2])> {
         let forces = self.triangles[location].solve_upper_triangular(parts)?;
         let lean = [forces.y / forces.x, forces.z / forces.x];
         let square = lean[0] * lean[0] + lean[1] * lean[1];
@@ -185,8 +186,8 @@ impl Dictionary {
         self.directions.chunks_exact(self.channels).map(move |direction| dot(direction, residuals).max(0.0))
     }
 
-    /// For every place the length of what a press there explains of whitened residuals, leaning where that explains more than it is unexpected; 0
-    /// where it would pull.
+    /// For every place the length of what a press there explains of whitened residuals: a straight one, or one that leans where that explains more
+    /// although its shear counts against it; 0 where it would pull.
     pub fn explained<'a>(&'a self, residuals: &'a [f32]) -> impl Iterator<Item = f32> + 'a {
         let project = self.project(residuals).enumerate();
         project.map(move |(location, straight)| self.leaning(location, straight, residuals).0)
@@ -207,7 +208,7 @@ impl Dictionary {
             f64::from(dot(&shears.directions[start..start + self.channels], residuals))
         };
         let parts = Vector3::new(f64::from(straight), part(0), part(1));
-        match shears.explained(location, &parts) {
+        match shears.press(location, &parts) {
             Some((square, lean)) if square > parts.x * parts.x => (square.sqrt() as f32, lean),
             _ => (straight, [0.0; 2]),
         }

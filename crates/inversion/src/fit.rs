@@ -41,14 +41,21 @@ pub(crate) enum Datum {
 }
 
 impl Datum {
+    /// With its value and weight as `of` makes them.
+    pub(crate) fn map(self, of: impl FnOnce(f64, f64) -> (f64, f64)) -> Self {
+        let (kind, v, w): (fn(f64, f64) -> Self, f64, f64) = match self {
+            Self::Exact(v, w) => (Self::Exact, v, w),
+            Self::AtLeast(v, w) => (Self::AtLeast, v, w),
+            Self::AtMost(v, w) => (Self::AtMost, v, w),
+            Self::None => return Self::None,
+        };
+        let (v, w) = of(v, w);
+        kind(v, w)
+    }
+
     /// What is left of the reading where something else makes `signal` of it.
     pub(crate) fn less(self, signal: f64) -> Self {
-        match self {
-            Self::Exact(v, w) => Self::Exact(v - signal, w),
-            Self::AtLeast(v, w) => Self::AtLeast(v - signal, w),
-            Self::AtMost(v, w) => Self::AtMost(v - signal, w),
-            Self::None => Self::None,
-        }
+        self.map(|v, w| (v - signal, w))
     }
 
     /// Square of the reading in units of its noise; 0 where there is none.

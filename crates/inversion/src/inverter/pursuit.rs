@@ -1,13 +1,13 @@
 //! Several contacts where each place has a pattern of its own.
 //!
 //! Problem: nobody knows where contacts are, nor how many. One contact alone is found from a few starts, but several at once have minima beyond
-//! number. Method: contacts are peeled off one after the other, the one that stands out most first (CLEAN; J. A. Högbom, *Astron. Astrophys.
+//! number. Method: contacts are taken in one after the other, the one that stands out most first (CLEAN; J. A. Högbom, *Astron. Astrophys.
 //! Suppl.* 15 (1974) 417). Each is looked for by itself, in what the others leave of the readings that a contact about that place can change, and then
 //! all are refined together. A contact beneath which the readings do not fit is looked for anew in the same way once the others are known
 //! (RELAX; J. Li and P. Stoica, *IEEE Trans. Signal Process.* 44 (1996) 281). Two that lie close together give way to one that explains as
 //! much, and contacts that the readings do without are dropped. A single contact is first looked for on readings whose strong ones count for less, for
-//! there its minimum is wide (graduated non-convexity, A. Blake and A. Zisserman, *Visual Reconstruction*, 1987). Assumptions: what a contact changes
-//! lies within [`REACH`], so that a misfit of one says nothing of another that is farther away. Cost: some ten minimisations of one contact,
+//! there its minimum is wide (graduated non-convexity, A. Blake and A. Zisserman, *Visual Reconstruction*, 1987). Assumptions: a contact changes what
+//! presses at places within [`REACH`] of it change, and nothing else. Cost: some ten minimisations of one contact,
 //! and one of all, for each contact that is taken in; some thirty of one for each that is looked for anew.
 
 use dermis_model::Indentation;
@@ -47,9 +47,11 @@ impl Inverter {
         if self.explains(&single, data) {
             return self.complete(problem, data, single, most);
         }
-        let several = self.complete(problem, data, Minimum::untouched(data), most)?;
-        if most > 1 && self.cost(&several) <= self.cost(&single) {
-            return Ok(several);
+        if most > 1 {
+            let several = self.complete(problem, data, Minimum::untouched(data), most)?;
+            if self.cost(&several) <= self.cost(&single) {
+                return Ok(several);
+            }
         }
         let single = self.settle(data, self.elsewhere(data, single)?)?;
         self.complete(problem, data, single, most)
@@ -101,8 +103,7 @@ impl Inverter {
             if one.contacts.is_empty() {
                 break;
             }
-            let all = best.contacts.iter().cloned().chain(one.contacts).collect();
-            let joint = problem.minimise(all)?;
+            let joint = problem.minimise(replaced(&best, &[], one))?;
             if !first && self.cost(&joint) >= self.cost(&best) {
                 break;
             }
@@ -256,15 +257,8 @@ fn replaced(minimum: &Minimum, gone: &[usize], by: Minimum) -> Vec<Indentation> 
 /// The same readings, of which the strong ones count for less: what fits the weak ones about a contact leads to it from farther away than what
 /// fits those beneath it, whose patterns change within a millimetre.
 fn coarsened(data: &[Datum]) -> Vec<Datum> {
-    let less = |value: f64, weight: f64| 1.0 / weight.recip().hypot(COARSE * value);
-    data.iter()
-        .map(|datum| match *datum {
-            Datum::Exact(v, w) => Datum::Exact(v, less(v, w)),
-            Datum::AtLeast(v, w) => Datum::AtLeast(v, less(v, w)),
-            Datum::AtMost(v, w) => Datum::AtMost(v, less(v, w)),
-            Datum::None => Datum::None,
-        })
-        .collect()
+    let less = |value: f64, weight: f64| (value, 1.0 / weight.recip().hypot(COARSE * value));
+    data.iter().map(|datum| datum.map(less)).collect()
 }
 
 #[cfg(test)]
@@ -328,7 +322,7 @@ mod tests {
 
     /// Five at once, the strongest ten times as strong as the weakest, some of them within each other's reach.
     #[test]
-    fn contacts_are_peeled_off_one_after_the_other() {
+    fn contacts_are_taken_in_one_after_the_other() {
         let (inverter, model) = skin(0.005, 6);
         let truth = [
             leaning(0.0011, 0.0007, 1.5, [0.3, -0.2]),
