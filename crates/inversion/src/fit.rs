@@ -172,7 +172,8 @@ impl Problem<'_> {
         Ok(())
     }
 
-    fn chi2(&self, signal: &[f64]) -> f64 {
+    /// Sum of squared deviations of the readings from a signal, in units of their noise.
+    pub fn chi2(&self, signal: &[f64]) -> f64 {
         self.data.iter().zip(signal).map(|(datum, model)| datum.residual(*model).0.powi(2)).sum()
     }
 

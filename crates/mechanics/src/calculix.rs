@@ -17,12 +17,14 @@ mod block;
 mod dome;
 mod faces;
 mod layer;
+mod plate;
 mod quadratic;
 mod shell;
 
 pub use block::{PadReadings, block_cases, pad_readings};
 pub use dome::dome_cases;
 pub use layer::layer_cases;
+pub use plate::{Plate, plate_deflections};
 pub use shell::{Panel, PanelTimes, Touch, panel_cases, panel_times, shell_cases, touch_readings};
 
 /// Debian's package, and what the instructions say to install.
@@ -76,6 +78,8 @@ struct Model {
     elements: Vec<Vec<usize>>,
     young_modulus: f64,
     poisson_ratio: f64,
+    /// Whether displacements are large: neo-Hookean rubber with these moduli where it is hardly stretched, each load after the one before.
+    large: bool,
     /// Nodes and which of their displacements are none.
     held: Vec<(usize, [bool; 3])>,
     /// Elements whose points of integration are of interest.
@@ -121,10 +125,17 @@ impl Model {
             }
             s.push('\n');
         }
+        let (young, poisson) = (self.young_modulus, self.poisson_ratio);
+        let law = if self.large {
+            // C₁₀ is half of the shear modulus, D₁ two over the bulk modulus.
+            let (c10, d1) = (young / 4.0 / (1.0 + poisson), 6.0 * (1.0 - 2.0 * poisson) / young);
+            format!("*HYPERELASTIC, NEO HOOKE\n{c10:.12e}, {d1:.12e}")
+        } else {
+            format!("*ELASTIC\n{young}, {poisson}")
+        };
         let _ = writeln!(
             s,
-            "*MATERIAL, NAME=RUBBER\n*ELASTIC\n{}, {}\n*SOLID SECTION, ELSET=BODY, MATERIAL=RUBBER\n*BOUNDARY",
-            self.young_modulus, self.poisson_ratio
+            "*MATERIAL, NAME=RUBBER\n{law}\n*SOLID SECTION, ELSET=BODY, MATERIAL=RUBBER\n*BOUNDARY"
         );
         if !self.sensors.is_empty() {
             s.insert_str(s.find("*MATERIAL").unwrap_or(0), &{
@@ -146,9 +157,9 @@ impl Model {
     }
 
     /// Of each load, the node and direction of the strongest of its forces where no other load acts, and that force. `None` where they are
-    /// not several loads, or not of forces alone, or one of them has no such force that is about as strong as its others.
+    /// not several loads, or not of forces alone, or displacements are large, or one of them has no such force that is about as strong as its others.
     fn own_moves(&self, moves: &[Vec<Move>]) -> Option<Vec<Move>> {
-        if self.loads.len() < 2 || self.loads.iter().any(|load| !load.pressures.is_empty()) {
+        if self.large || self.loads.len() < 2 || self.loads.iter().any(|load| !load.pressures.is_empty()) {
             return None;
         }
         let mut acting = HashMap::new();
@@ -211,7 +222,9 @@ impl Model {
 
     fn one_by_one(&self, moves: &[Vec<Move>], s: &mut String) {
         for (load, moves) in self.loads.iter().zip(moves) {
-            s.push_str("*STEP\n*STATIC\n");
+            let step =
+                if self.large { "*STEP, NLGEOM, INC=200\n*STATIC\n0.25, 1\n" } else { "*STEP\n*STATIC\n" };
+            s.push_str(step);
             if !load.forces.is_empty() {
                 s.push_str("*CLOAD, OP=NEW\n");
             }
@@ -230,7 +243,9 @@ impl Model {
 
     fn end_step(&self, s: &mut String) {
         let flat = if self.element.starts_with("CAX") { ", OUTPUT=2D" } else { "" };
-        let _ = writeln!(s, "*NODE FILE{flat}\nU\n*EL FILE{flat}\nS");
+        // Of a load that is put on bit by bit, the end alone.
+        let last = if self.large { ", FREQUENCY=1000" } else { "" };
+        let _ = writeln!(s, "*NODE FILE{flat}{last}\nU\n*EL FILE{flat}{last}\nS");
         if !self.sensors.is_empty() {
             s.push_str("*EL PRINT, ELSET=SENSORS\nS\n");
         }
@@ -393,6 +408,7 @@ mod tests {
             elements: solid.cells,
             young_modulus: 1e6,
             poisson_ratio: 0.3,
+            large: false,
             sensors: vec![4, 9],
             loads,
         }

@@ -3,10 +3,12 @@
 pub mod basis;
 pub mod contact;
 pub mod mesh;
+pub mod stretching;
 
 pub use basis::{Basis, Field, Grid};
 pub use contact::Footprint;
 pub use mesh::{Elastomer, Fovea, Meridians, Skeleton};
+pub use stretching::Stretching;
 
 #[cfg(test)]
 pub(crate) mod tests {

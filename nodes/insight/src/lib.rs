@@ -91,7 +91,11 @@ impl Sensor for Insight {
     }
 
     fn validation_cases(&self) -> Result<Vec<Case>, String> {
-        verify::cases().map_err(|error| error.to_string())
+        let mut cases = verify::cases().map_err(|error| error.to_string())?;
+        if dermis_mechanics::calculix::available() {
+            cases.extend(verify::judged().map_err(|error| error.to_string())?);
+        }
+        Ok(cases)
     }
 }
 

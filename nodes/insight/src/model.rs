@@ -3,10 +3,10 @@
 //! Contacts become forces on the points of the outside, these displacements of the inside ([`Basis`]), these changes of colour
 //! ([`Shading`]), and these numbers or a picture ([`Picture`]).
 //!
-//! Assumptions: displacements are linear in forces (unless an effect stiffens them); the camera and its lamps do not move; what a touch changes
-//! is smooth over the grid of the inside.
+//! Assumptions: displacements are linear in forces, but for what the elastomer's [stretching](crate::elastic::stretching) takes from each contact's; the
+//! camera and its lamps do not move; what a touch changes is smooth over the grid of the inside.
 //!
-//! Derivatives are those of displacements, which are linear in forces, through the slopes of the untouched inside ([`Shading::slopes`]): what
+//! Derivatives are those of displacements through the slopes of the untouched inside ([`Shading::slopes`]): what
 //! follows them to a minimum needs them no more exactly.
 //!
 //! Cost: the first touch of a design computes its basis, one to two minutes for the thumb that ships, which is then kept on disk. After that,
@@ -27,6 +27,7 @@ use nalgebra::{DMatrix, Point3, Vector3};
 use crate::effects::{self, Dynamics};
 use crate::elastic::basis::{Basis, Field};
 use crate::elastic::contact::{Footprint, gripping};
+use crate::elastic::stretching::Stretching;
 use crate::optics::picture::Picture;
 use crate::optics::shading::{Changes, Shading};
 use crate::optics::{Observer, Table};
@@ -51,6 +52,16 @@ pub struct ThumbModel {
     picture: Picture,
     dynamics: Dynamics,
     basis: OnceLock<Result<Arc<Basis>, String>>,
+    stretching: OnceLock<Stretching>,
+}
+
+/// A contact that presses.
+struct Pressed {
+    footprint: Footprint,
+    /// \[N\] that it exerts.
+    force: Vector3<f64>,
+    /// \[N\] that would move as much if the elastomer did not stretch.
+    moving: Vector3<f64>,
 }
 
 /// Memory that frames share on a thread.
@@ -100,6 +111,7 @@ impl ThumbModel {
             picture,
             dynamics: Dynamics::new(skin)?,
             basis: OnceLock::new(),
+            stretching: OnceLock::new(),
             parameters,
         })
     }
@@ -133,12 +145,18 @@ impl ThumbModel {
         })
     }
 
+    /// By how much less than in proportion it gives way.
+    fn stretching(&self) -> Result<&Stretching, ModelError> {
+        let basis = self.basis()?;
+        let Parameters { elastomer, rings, .. } = &self.parameters;
+        Ok(self.stretching.get_or_init(|| {
+            let thickness = rings.locations().into_iter().map(|[s, phi]| elastomer.thickness_at(s, phi));
+            Stretching::new(basis, &thickness.collect::<Vec<_>>())
+        }))
+    }
+
     /// The points that a contact's force is shared among, and that force; nothing where it does not press.
-    fn footprint(
-        &self,
-        index: usize,
-        contact: &Indentation,
-    ) -> Result<Option<(Footprint, Vector3<f64>)>, ModelError> {
+    fn footprint(&self, index: usize, contact: &Indentation) -> Result<Option<Pressed>, ModelError> {
         let normal = contact.check_any_tip(index, &self.surface)?;
         let pressing = -contact.force.dot(&normal);
         if pressing <= 0.0 {
@@ -148,7 +166,10 @@ impl ThumbModel {
             let reason = format!("its {}: {error}", contact.tip.shape.name());
             ModelError::Stimulus { index, reason }
         })?;
-        Ok(Some((footprint, gripping(contact, &normal, self.parameters.friction))))
+        let Parameters { friction, stiffness, stiffening, .. } = self.parameters;
+        let force = gripping(contact, &normal, friction);
+        let share = self.stretching()?.share(&footprint.shares, &(force / stiffness), stiffening);
+        Ok(Some(Pressed { footprint, force, moving: force * share }))
     }
 
     /// What a tip does that presses with `force` \[N\]; a flat punch is taken to stand straight. The inner error is that of a tip which meets
@@ -172,26 +193,21 @@ impl ThumbModel {
 
     /// Displacements of the inside.
     fn displace(&self, stimulus: &Stimulus, field: &mut Field) -> Result<(), ModelError> {
-        let Parameters { grid, stiffness, stiffening, flex, elastomer, .. } = &self.parameters;
+        let Parameters { grid, stiffness, flex, .. } = &self.parameters;
         field.clear(grid);
         let mut total = Vector3::zeros();
         for (index, contact) in stimulus.contacts.iter().enumerate() {
-            let Some((footprint, force)) = self.footprint(index, contact)? else { continue };
+            let Some(Pressed { footprint, force, moving }) = self.footprint(index, contact)? else {
+                continue;
+            };
             let basis = self.basis()?;
             for (point, share) in &footprint.shares {
-                basis.add(*point, &(force * (share / stiffness)), field);
+                basis.add(*point, &(moving * (share / stiffness)), field);
             }
             total += force;
         }
         if stimulus.gravity != Vector3::zeros() {
             self.basis()?.add_weight(&(stimulus.gravity / *stiffness), field);
-        }
-        if *stiffening > 0.0 {
-            let most =
-                field.values.as_chunks::<3>().0.iter().map(|u| u[0] * u[0] + u[1] * u[1] + u[2] * u[2]);
-            let share = f64::from(most.fold(0.0, f32::max)) / elastomer.thickness.powi(2);
-            let factor = (1.0 / (1.0 + stiffening * share)) as f32;
-            field.values.iter_mut().for_each(|u| *u *= factor);
         }
         if *flex > 0.0 && total != Vector3::zeros() {
             self.shading.sway(&(total * *flex), field);
@@ -210,8 +226,8 @@ impl ThumbModel {
         field.clear(&self.parameters.grid);
         let mut forces: Vec<(usize, Vector3<f64>)> = Vec::new();
         for (contact, factor) in contacts {
-            let Some((footprint, force)) = self.footprint(index, contact)? else { continue };
-            let force = force * (factor / self.parameters.stiffness);
+            let Some(Pressed { footprint, moving, .. }) = self.footprint(index, contact)? else { continue };
+            let force = moving * (factor / self.parameters.stiffness);
             forces.extend(footprint.shares.iter().map(|(point, share)| (*point, force * *share)));
         }
         forces.sort_unstable_by_key(|(point, _)| *point);
@@ -348,8 +364,7 @@ impl ForwardModel for ThumbModel {
         differences: &Differences,
         out: &mut [f64],
     ) -> Result<(), ModelError> {
-        let Parameters { stiffening, flex, .. } = self.parameters;
-        if stiffening > 0.0 || flex > 0.0 {
+        if self.parameters.flex > 0.0 {
             return differences.jacobian(self, stimulus, unknowns, out);
         }
         let brighter = self.brighter(stimulus.temperature);
@@ -377,18 +392,13 @@ impl ForwardModel for ThumbModel {
     fn displacement(&self, stimulus: &Stimulus, out: &mut [f64]) -> Result<bool, ModelError> {
         out.fill(0.0);
         for (index, contact) in stimulus.contacts.iter().enumerate() {
-            let Some((footprint, force)) = self.footprint(index, contact)? else { continue };
+            let Some(Pressed { footprint, moving, .. }) = self.footprint(index, contact)? else { continue };
             let basis = self.basis()?;
             for (point, share) in &footprint.shares {
-                basis.give(*point, &(force * (share / self.parameters.stiffness)), |k, by| out[k] += by);
+                basis.give(*point, &(moving * (share / self.parameters.stiffness)), |k, by| out[k] += by);
             }
         }
         Ok(true)
-    }
-
-    /// Contacts that are a few millimetres apart change other nodes; shading is nearly linear in what the rest of them share.
-    fn superposes(&self) -> bool {
-        self.parameters.stiffening == 0.0
     }
 
     fn capture(

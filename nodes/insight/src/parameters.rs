@@ -12,6 +12,7 @@ pub use complete::{check, complete};
 
 use crate::elastic::Grid;
 use crate::elastic::mesh::{Elastomer, Fovea, Skeleton};
+use crate::elastic::stretching::STRETCHED;
 use crate::optics::lens::FULL_WIDTH;
 use crate::optics::light::{Beam, COLOURS, Finish, Lamp};
 use crate::optics::picture::Texture;
@@ -155,7 +156,7 @@ pub struct Parameters {
     pub friction: f64,
     /// Factor of Young's modulus: displacements of another elastomer are known without another basis.
     pub stiffness: f64,
-    /// Relative stiffening where the inside moves by the elastomer's thickness.
+    /// Relative stiffening where the inside gives way by the elastomer's thickness ([`stretching`](crate::elastic::stretching)).
     pub stiffening: f64,
     /// \[m/N\] that the top of the skeleton gives way sideways.
     pub flex: f64,
@@ -331,7 +332,7 @@ impl Parameters {
             reach: spec.elastomer.reach,
             friction: spec.elastomer.friction,
             stiffness: 1.0,
-            stiffening: 0.0,
+            stiffening: STRETCHED,
             flex: 0.0,
             camera: Camera {
                 size: spec.camera.size,

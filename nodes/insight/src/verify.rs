@@ -1,12 +1,14 @@
-//! Figures of the thumb's physics, computed now, against closed forms and the thesis: I1, I3, I4 and I5.
+//! Figures of the thumb's physics, computed now, against closed forms and the thesis: I1, I3, I4 and I5; I6 with CalculiX.
 
 use std::f64::consts::FRAC_PI_2;
 
 use dermis_mechanics::MechanicsError;
+use dermis_mechanics::calculix::{CalculixError, Plate, plate_deflections};
 use dermis_mechanics::fem::{HexMesh, Solid};
 use dermis_model::Case;
 use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
 
+use crate::elastic::stretching::{STRETCHED, relaxed};
 use crate::optics::lens::field_of_view;
 use crate::optics::light::{Beam, COLOURS, Finish, Lamp};
 use crate::optics::picture::Noise;
@@ -67,6 +69,52 @@ fn tube(poisson: f64) -> Result<Case, MechanicsError> {
         [mean, exact],
         0.01,
     ))
+}
+
+/// \[N\] on a plate like the fovea, and by how much its deflection may differ. Beyond, the rubber beneath the patch is pushed so thin that
+/// CalculiX's solids collapse.
+const PUSHES: [f64; 4] = [0.01, 0.03, 0.1, 0.2];
+const PUSHED_WITHIN: f64 = 0.07;
+
+/// What CalculiX makes of a rubber plate that stretches, and this model of the same.
+///
+/// # Errors
+///
+/// [`CalculixError`] where CalculiX is not installed, or fails.
+pub fn judged() -> Result<Vec<Case>, CalculixError> {
+    let plate = Plate {
+        size: [0.013, 0.011],
+        thickness: 0.0012,
+        young_modulus: 70e3,
+        poisson_ratio: 0.49,
+        patch: 0.0015,
+        cells: [14, 12, 2],
+    };
+    // Linear cells bend as solids of 20 nodes do where there are twice as many of them.
+    let mesh = Plate { cells: [14, 12, 4], ..plate }.mesh();
+    let middle = mesh.nodes.iter().position(|p| p.coords.norm() < 1e-9);
+    let middle = middle.ok_or(CalculixError::Results("node in the middle"))?;
+    let sides = plate.pushed(&mesh);
+    let each = Vector3::new(0.0, 0.0, -1.0 / (4 * sides.len()) as f64);
+    let load: Vec<(usize, Vector3<f64>)> = sides.iter().flatten().map(|n| (*n, each)).collect();
+    let held = |_: usize, p: &Point3<f64>| [plate.held(p); 3];
+    let solid = Solid::new(mesh, plate.young_modulus, plate.poisson_ratio, held)?;
+    let per_newton = -solid.displacements(&[load])[0][middle].z;
+    let case = |(force, reference): (f64, f64)| {
+        let linear = per_newton * force;
+        let ours = linear * relaxed(linear / plate.thickness, STRETCHED);
+        Case::relative(
+            format!("I6-{force}"),
+            format!(
+                "rubber plate of 13 x 11 x 1.2 mm with fixed edges: how far its middle gives way to {force} N"
+            ),
+            "neo-Hookean solids of CalculiX ccx, run now",
+            "m",
+            [ours, reference],
+            PUSHED_WITHIN,
+        )
+    };
+    Ok(PUSHES.into_iter().zip(plate_deflections(&plate, &PUSHES)?).map(case).collect())
 }
 
 /// Pixels of a mode's picture that are as large as those of the first mode, and its field of view \[°\], across and down (thesis, Table 6.2).

@@ -85,12 +85,32 @@ impl Inverter {
             if but.contains(&contact.position) {
                 continue;
             }
-            let excess = excess(&own_signal(problem, minimum, &[index])?, &left, data);
+            let excess = Beneath::of(&own_signal(problem, minimum, &[index])?, &left, data).excess();
             if excess > worst.map_or(0.0, |(most, _)| most) {
                 worst = Some((excess, index));
             }
         }
         Ok(worst.map(|(_, index)| index))
+    }
+
+    /// The same readings with what contacts are off added to their noise: a share of what each changes, as large as its readings say.
+    pub(super) fn with_misfit(
+        &self,
+        problem: &Problem<'_>,
+        data: &[Datum],
+        minimum: &Minimum,
+    ) -> Result<Vec<Datum>, InverterError> {
+        let left = residuals(data, &minimum.signal);
+        let mut variance = vec![0.0; data.len()];
+        for index in 0..minimum.contacts.len() {
+            let own = own_signal(problem, minimum, &[index])?;
+            let misfit = Beneath::of(&own, &left, data).misfit();
+            variance.iter_mut().zip(&own).for_each(|(variance, own)| *variance += misfit * own * own);
+        }
+        let more = data.iter().zip(variance);
+        Ok(more
+            .map(|(datum, variance)| datum.map(|v, w| (v, 1.0 / w.recip().hypot(variance.sqrt()))))
+            .collect())
     }
 
     /// Contacts around the one of a minimum that explain readings best, each scaled to do so.
@@ -197,20 +217,40 @@ fn whitened<'a>(signal: &'a [f64], data: &'a [Datum]) -> impl Iterator<Item = f6
     })
 }
 
-/// What is `left` of the readings that a contact's `own` signal changes, in units of their noise, beyond what noise leaves of as many; 0 or less
-/// where they fit, or are too few.
-fn excess(own: &[f64], left: &[f32], data: &[Datum]) -> f64 {
-    let (mut count, mut sum) = (0_usize, 0.0);
-    for ((value, left), datum) in whitened(own, data).zip(left).zip(data) {
-        if matches!(datum, Datum::Exact(..)) && value.abs() >= SHOWS {
-            count += 1;
-            sum += f64::from(*left).powi(2);
+/// Readings that a contact changes by more than their noise.
+struct Beneath {
+    count: usize,
+    /// Squares of what is left of them and of what the contact makes of them, in units of their noise.
+    left: f64,
+    own: f64,
+}
+
+impl Beneath {
+    fn of(own: &[f64], left: &[f32], data: &[Datum]) -> Self {
+        let mut beneath = Self { count: 0, left: 0.0, own: 0.0 };
+        for ((value, left), datum) in whitened(own, data).zip(left).zip(data) {
+            if matches!(datum, Datum::Exact(..)) && value.abs() >= SHOWS {
+                beneath.count += 1;
+                beneath.left += f64::from(*left).powi(2);
+                beneath.own += value * value;
+            }
         }
+        beneath
     }
-    if count < FEWEST {
-        return 0.0;
+
+    /// What is left of them beyond what noise leaves of as many; 0 or less where they fit, or are too few.
+    fn excess(&self) -> f64 {
+        if self.count < FEWEST {
+            return 0.0;
+        }
+        let count = self.count as f64;
+        self.left - (1.0 + ZERO) * (count + PLAUSIBLE * (2.0 * count).sqrt())
     }
-    sum - (1.0 + ZERO) * (count as f64 + PLAUSIBLE * (2.0 * count as f64).sqrt())
+
+    /// Square of the share of its own signal that a contact is off, as its readings say; 0 where they fit.
+    fn misfit(&self) -> f64 {
+        if self.excess() > 0.0 { (self.left - (1.0 + ZERO) * self.count as f64) / self.own } else { 0.0 }
+    }
 }
 
 #[cfg(test)]

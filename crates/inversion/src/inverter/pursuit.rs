@@ -5,7 +5,9 @@
 //! Suppl.* 15 (1974) 417). Each is looked for by itself, in what the others leave of the readings that a contact about that place can change, and then
 //! all are refined together. A contact beneath which the readings do not fit is looked for anew in the same way once the others are known
 //! (RELAX; J. Li and P. Stoica, *IEEE Trans. Signal Process.* 44 (1996) 281). Two that lie close together give way to one that explains as
-//! much, and contacts that the readings do without are dropped. A single contact is first looked for on readings whose strong ones count for less, for
+//! much, and contacts that the readings do without are dropped. What contacts are off, as a share of what they change, counts as noise when further ones
+//! are judged: where the model does not fit, as beneath a tip of another size, a strong contact would else be mended by several that are not there.
+//! A single contact is first looked for on readings whose strong ones count for less, for
 //! there its minimum is wide (graduated non-convexity, A. Blake and A. Zisserman, *Visual Reconstruction*, 1987). Assumptions: a contact changes what
 //! presses at places within [`REACH`] of it change, and nothing else. Cost: some ten minimisations of one contact,
 //! and one of all, for each contact that is taken in; some thirty of one for each that is looked for anew.
@@ -13,8 +15,8 @@
 use dermis_model::Indentation;
 use nalgebra::{Point3, center};
 
-use super::Inverter;
 use super::nearby::own_signal;
+use super::{Inverter, counted};
 use crate::fit::{Datum, Minimum, Problem};
 use crate::settings::InverterError;
 
@@ -25,8 +27,10 @@ const REACH: f64 = 4.5;
 const BELONGS: f32 = 0.03;
 /// Rounds of taking in and looking anew, at most.
 const ROUNDS: usize = 3;
-/// What must be gained of the sum of squared deviations that more is tried.
+/// What must be gained of the sum of squared deviations that more is tried, and as a share of what noise does not explain of it: where the model does
+/// not fit, everything that is tried gains a little.
 const WORTH: f64 = 4.0;
+const WORTH_SHARE: f64 = 0.02;
 /// Share of a reading that a first fit leaves to it.
 const COARSE: f64 = 0.2;
 /// Peaks that a single contact is begun at, at most.
@@ -78,7 +82,7 @@ impl Inverter {
             if best.contacts.is_empty() || self.cost(&anew) < self.cost(&best) {
                 best = anew;
             }
-            if best.chi2 > before - WORTH {
+            if best.chi2 > before - worth(before, data) {
                 break;
             }
         }
@@ -97,14 +101,17 @@ impl Inverter {
             // The first is taken in whatever it gains: the caller knows that there is a contact.
             let first = best.contacts.is_empty();
             let least = if first { 0.0 } else { self.settings().evidence };
-            let Some(peak) = self.peaks_left(data, &best, 1, least).pop() else { break };
+            let doubted = self.with_misfit(problem, data, &best)?;
+            let Some(peak) = self.peaks_left(&doubted, &best, 1, least).pop() else { break };
             let around = self.around(data, &best.signal, &peak.position);
             let one = self.settle(&around, self.alone(&around)?)?;
             if one.contacts.is_empty() {
                 break;
             }
             let joint = problem.minimise(replaced(&best, &[], one))?;
-            if !first && self.cost(&joint) >= self.cost(&best) {
+            let known = self.problem(&doubted);
+            let gained = known.chi2(&best.signal) - known.chi2(&joint.signal);
+            if !first && gained <= self.settings().evidence {
                 break;
             }
             best = joint;
@@ -136,7 +143,7 @@ impl Inverter {
                 }
             }
             let joint = problem.minimise(replaced(&best, &[index], found))?;
-            if self.apart(&joint) && joint.chi2 < best.chi2 - WORTH {
+            if self.apart(&joint) && joint.chi2 < best.chi2 - worth(best.chi2, data) {
                 best = joint;
                 tried.clear();
             } else {
@@ -238,6 +245,11 @@ impl Inverter {
     }
 }
 
+/// What must be gained of a sum of squared deviations that more is tried.
+fn worth(chi2: f64, data: &[Datum]) -> f64 {
+    WORTH.max(WORTH_SHARE * (chi2 - counted(data) as f64))
+}
+
 /// Signal of a minimum's contacts but these.
 fn signal_without(
     problem: &Problem<'_>,
@@ -277,17 +289,21 @@ mod tests {
     /// \[m\] over which a pattern fades.
     const WIDTH: f64 = 1.6e-3;
 
-    /// 50 by 50 elements 1.2 mm apart, each of which a contact changes within some millimetres; shear leans the pattern to one side.
-    fn skin(noise: f64, contacts: usize) -> (Inverter, Arc<Analytic>) {
+    /// 50 by 50 elements 1.2 mm apart, each of which a contact changes within some millimetres of `width` \[m\]; shear leans the pattern to one side.
+    fn device(noise: f64, width: f64) -> Arc<Analytic> {
         let at = |i: usize| (i as f64 - 24.5) * 1.2e-3;
         let elements = (0..2500).map(|i| Point3::new(at(i % 50), at(i / 50), 0.0));
         let spec = SurfaceSpec::Rectangle { size: [0.060, 0.060], spacing: 0.0015 };
-        let model = Arc::new(Analytic::new(Surface::from_spec(&spec), elements, noise, |c, element| {
-            let off = (element - c.position) / WIDTH;
+        Arc::new(Analytic::new(Surface::from_spec(&spec), elements, noise, move |c, element| {
+            let off = (element - c.position) / width;
             // Wider than what a move along the surface changes, which shear would be taken for.
             let leans = (c.force.x * off.x + c.force.y * off.y) * (-off.norm_squared() / 8.0).exp();
             leans - c.force.z * (-off.norm_squared() / 2.0).exp()
-        }));
+        }))
+    }
+
+    fn skin(noise: f64, contacts: usize) -> (Inverter, Arc<Analytic>) {
+        let model = device(noise, WIDTH);
         let settings = Settings {
             contacts,
             distance: 0.004,
@@ -343,6 +359,21 @@ mod tests {
         }
     }
 
+    /// A tip that is wider than the one that is looked for.
+    #[test]
+    fn what_does_not_fit_is_not_mended_by_contacts_that_are_not_there() {
+        let (inverter, _) = skin(0.02, 6);
+        for seed in 0..4 {
+            let truth = [leaning(0.0011, 0.0007, 1.2, [0.2, -0.1])];
+            let readings = read(&device(0.02, 1.1 * WIDTH), &truth, &mut random(seed));
+            let data = inverter.data(&readings);
+            let found = inverter.pursue(&inverter.problem(&data), &data, 6).unwrap();
+            assert!(!inverter.fits_beneath(&data, &found).unwrap());
+            assert_eq!(found.contacts.len(), 1, "{:?}", found.contacts);
+            assert!(farthest(&found.contacts, &truth) < 3e-4, "{:?}", found.contacts);
+        }
+    }
+
     /// Of three contacts one was taken for a light one far away from it, whose pattern is in nobody's way.
     #[test]
     fn what_does_not_fit_is_looked_for_anew() {
@@ -394,7 +425,7 @@ mod tests {
             (around[far], Datum::AtLeast(1.0, 2.0).less(0.25)),
             (Datum::None, Datum::AtLeast(0.75, 2.0))
         );
-        let counted = crate::inverter::counted(&around);
+        let counted = counted(&around);
         assert!((100..900).contains(&counted), "{counted} readings");
     }
 

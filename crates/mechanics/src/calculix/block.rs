@@ -73,6 +73,7 @@ pub fn block_cases() -> Result<Vec<Case>, CalculixError> {
         young_modulus: YOUNG,
         poisson_ratio: POISSON,
         held,
+        large: false,
         sensors,
         loads,
     };
@@ -185,6 +186,7 @@ pub fn pad_readings(contacts: &[(f64, SphereContact)]) -> Result<PadReadings, Ca
         elements: quadratic.cells,
         young_modulus: YOUNG,
         poisson_ratio: POISSON,
+        large: false,
         sensors,
         loads,
     };

@@ -84,6 +84,7 @@ pub fn dome_cases() -> Result<Vec<Case>, CalculixError> {
         young_modulus: YOUNG,
         poisson_ratio: POISSON,
         held,
+        large: false,
         sensors: sensors.iter().map(|s| s.0).collect(),
         loads,
     };

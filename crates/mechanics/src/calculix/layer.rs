@@ -65,6 +65,7 @@ pub fn layer_cases() -> Result<Vec<Case>, CalculixError> {
         young_modulus: YOUNG,
         poisson_ratio: POISSON,
         held,
+        large: false,
         sensors: Vec::new(),
         loads: vec![Acting { pressures, ..Acting::default() }],
     };

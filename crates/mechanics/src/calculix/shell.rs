@@ -196,6 +196,7 @@ fn solid_of(
         young_modulus: section.young_modulus,
         poisson_ratio: section.poisson_ratio,
         held: clamped_nodes(&solid, |n| holds[n % count]),
+        large: false,
         sensors: Vec::new(),
         loads: Vec::new(),
     };
@@ -404,6 +405,7 @@ fn roof() -> Result<Case, CalculixError> {
         young_modulus,
         poisson_ratio: 0.0,
         held,
+        large: false,
         sensors: Vec::new(),
         loads: vec![Load { forces, ..Load::default() }],
     };

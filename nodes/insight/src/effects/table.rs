@@ -68,12 +68,12 @@ pub const EFFECTS: &[EffectInfo] = &[
     },
     EffectInfo {
         name: "stiffening",
-        what: "The elastomer stiffens as it is stretched: displacements grow more slowly than forces.",
-        source: "geometric stiffening u / (1 + share (u/t)²), assumed",
+        what: "The elastomer stiffens more as it is stretched: displacements grow more slowly than forces.",
+        source: "u (1 + share (u/t)²) = u of small forces, beyond the 0.2 of a rubber plate that cannot slide in; assumed",
         parameters: &[ParameterInfo::new(
             "share",
             "1",
-            "of stiffening where the inside moves by the elastomer's thickness",
+            "of more stiffening where the inside gives way by the elastomer's thickness",
             1.0,
             [0.3, 5.0],
             [0.0, 100.0],

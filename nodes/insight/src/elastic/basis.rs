@@ -4,8 +4,8 @@
 //! solutions for each point of the outside. A column holds the displacements of the inside on a grid of rows and meridians, in a window that
 //! reaches so far from the point, and how far points of the outside give way. Besides, the body's own weight along x, y and z.
 //!
-//! Assumption: displacements are linear in forces. They are up to about 0.3 N of a tip of 4 mm; beyond, a real skin is stiffer, and shares
-//! of shear and pressure mix. What lies outside of a window is left out: 8 % of the energy at 10 mm.
+//! Assumption: displacements are linear in forces; by how much less a skin gives way that stretches is
+//! [`stretching`](super::stretching)'s. What lies outside of a window is left out: 8 % of the energy at 10 mm.
 //!
 //! Cost: with 100,000 unknowns and 3,800 points about a minute on two cores, and some 100 MB; it is kept on disk.
 
@@ -15,7 +15,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use dermis_mechanics::MechanicsError;
 use dermis_skin::cache::{Bytes, Keep, Key, kept};
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Matrix3, Point3, Vector3};
 
 use super::mesh::{Elastomer, Meshed};
 use crate::surface::Rings;
@@ -279,6 +279,21 @@ impl Basis {
             let a = acceleration[axis] as f32;
             field.values.iter_mut().zip(values).for_each(|(t, v)| *t += a * v);
         }
+    }
+
+    /// Where the inside gives way most to forces at a point of the outside, by 1 N along x, y, z \[m/N\]: columns of a matrix.
+    #[must_use]
+    pub fn most(&self, point: usize) -> Matrix3<f64> {
+        let [_, rows, _, around, start] = self.windows[point].map(|n| n as usize);
+        let size = 3 * rows * around;
+        let moved = |node: usize, axis: usize| {
+            let at = start + axis * size + 3 * node;
+            Vector3::from_fn(|k, _| f64::from(self.inner[at + k]))
+        };
+        let all = |node: usize| Matrix3::from_columns(&[0, 1, 2].map(|axis| moved(node, axis)));
+        let square = |m: &Matrix3<f64>| m.norm_squared();
+        let most = (0..rows * around).map(all).max_by(|a, b| square(a).total_cmp(&square(b)));
+        most.unwrap_or_else(Matrix3::zeros)
     }
 
     /// How far points of the outside give way inwards \[m\] under a force \[N\] at one of them: calls `each` with point and distance.

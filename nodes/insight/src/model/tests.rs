@@ -349,7 +349,7 @@ fn noise_is_as_requested_and_another_each_time() {
 
 /// Root mean square distances \[m\] of a contact's force from its middle, along and across the tip's own x.
 fn spread(model: &ThumbModel, contact: &Indentation) -> [f64; 2] {
-    let (footprint, _) = model.footprint(0, contact).unwrap().unwrap();
+    let Pressed { footprint, .. } = model.footprint(0, contact).unwrap().unwrap();
     let locations = model.parameters().rings.locations();
     let own = |point: usize| {
         let (p, _) = model.parameters().elastomer.thumb.point(locations[point][0], locations[point][1], 0.0);
@@ -404,7 +404,7 @@ fn tips_of_any_shape_press_where_their_faces_are() {
         out
     };
     assert!(rms(&triangle, &hexagon) > 0.03 * rms(&triangle, &untouched), "a triangle looks like a hexagon");
-    let (footprint, force) = model.footprint(0, &with(wedge, 0.3)).unwrap().unwrap();
+    let Pressed { footprint, force, .. } = model.footprint(0, &with(wedge, 0.3)).unwrap().unwrap();
     let sum: f64 = footprint.shares.iter().map(|(_, w)| w).sum();
     assert!((sum - 1.0).abs() < 1e-9 && (force.norm() - 1.0).abs() < 1e-9, "{sum} {force}");
 }
