@@ -194,6 +194,8 @@ fn serve_release(node: &Node, guard: &Arc<Guard>) -> Result<ServiceServer, NodeE
 ///
 /// [`RunError`] says in one sentence why it does not start.
 pub async fn run(config: &Config, backend: &dyn Backend) -> Result<(), RunError> {
+    // Before the first heartbeat: a signal in between would end the process without the stop that is its last word.
+    dermis_node::end_all_nodes_on_signal()?;
     let running = ReflexNode::start(config, backend)?;
     running.node().wait_for_shutdown().await?;
     running.stop();

@@ -23,6 +23,44 @@ pub fn end_all_nodes() {
     ALL.send_replace(true);
 }
 
+/// Calls [`end_all_nodes`] as soon as a signal, Ctrl-C or SIGTERM, comes from now on: for programs whose nodes speak before anybody
+/// [waits](Node::wait_for_shutdown) for their end. A signal that nobody listens to ends a process without a last word.
+///
+/// # Errors
+///
+/// When the signals cannot be listened to.
+pub fn end_all_nodes_on_signal() -> Result<(), NodeError> {
+    let runtime = runtime()?;
+    let _entered = runtime.enter();
+    let signalled = signalled().map_err(|error| NodeError::Thread {
+        node: "(all)".to_owned(),
+        reason: format!("cannot listen to signals: {error}"),
+    })?;
+    runtime.spawn(async move {
+        signalled.await;
+        end_all_nodes();
+    });
+    Ok(())
+}
+
+/// Ends with Ctrl-C or SIGTERM, from now on; wherever tokio runs.
+#[cfg(unix)]
+fn signalled() -> std::io::Result<impl Future<Output = ()>> {
+    use tokio::signal::unix::{SignalKind, signal};
+    let (mut interrupt, mut terminate) = (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?);
+    Ok(async move {
+        tokio::select! { _ = interrupt.recv() => {}, _ = terminate.recv() => {} }
+    })
+}
+
+/// Ends with Ctrl-C.
+#[cfg(not(unix))]
+fn signalled() -> std::io::Result<impl Future<Output = ()>> {
+    Ok(async {
+        let _ = tokio::signal::ctrl_c().await;
+    })
+}
+
 /// Waits for [`end_all_nodes`]: for what runs beside nodes and is to end with them.
 pub async fn end_of_all_nodes() {
     // The sender lasts as long as the process.
@@ -58,27 +96,15 @@ impl Node {
     /// When the signals cannot be listened to; the node is not shut down then.
     pub async fn wait_for_shutdown(&self) -> Result<(), NodeError> {
         let mut ended = self.0.ended.subscribe();
-        let signalled = runtime()?.spawn(async move {
-            let all = end_of_all_nodes();
-            #[cfg(unix)]
-            {
-                use tokio::signal::unix::{SignalKind, signal};
-                let mut terminate = signal(SignalKind::terminate())?;
-                tokio::select! {
-                    result = tokio::signal::ctrl_c() => result,
-                    _ = terminate.recv() => Ok(()),
-                    () = all => Ok(()),
-                }
-            }
-            #[cfg(not(unix))]
+        let ending = runtime()?.spawn(async {
             tokio::select! {
-                result = tokio::signal::ctrl_c() => result,
-                () = all => Ok(()),
+                () = signalled()? => Ok(()),
+                () = end_of_all_nodes() => Ok(()),
             }
         });
-        let abort = signalled.abort_handle();
+        let abort = ending.abort_handle();
         let shut_down = std::pin::pin!(ended.wait_for(|ended| *ended));
-        match futures::future::select(shut_down, signalled).await {
+        match futures::future::select(shut_down, ending).await {
             futures::future::Either::Left(_) => abort.abort(),
             futures::future::Either::Right((signal, _)) => {
                 let signal = signal.unwrap_or_else(|error| Err(std::io::Error::other(error)));
