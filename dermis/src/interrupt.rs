@@ -23,10 +23,5 @@ pub fn stop_on_interrupt() -> Result<Arc<AtomicBool>> {
 
 /// Ends with Ctrl-C or SIGTERM, from now on.
 pub fn ended() -> Result<impl Future<Output = ()>> {
-    use tokio::signal::unix::{SignalKind, signal};
-    let mut interrupt = signal(SignalKind::interrupt()).context("Ctrl-C cannot be waited for")?;
-    let mut terminate = signal(SignalKind::terminate()).context("SIGTERM cannot be waited for")?;
-    Ok(async move {
-        tokio::select! { _ = interrupt.recv() => {}, _ = terminate.recv() => {} }
-    })
+    dermis_node::signalled().context("Ctrl-C and SIGTERM cannot be waited for")
 }

@@ -50,7 +50,7 @@ pub use hiroz_backend::{HirozBackend, HirozConfig};
 pub use lifecycle::{Lifecycle, State, Transition};
 pub use names::parse_remapping;
 pub use network::{Network, NetworkChoice, Reach};
-pub use node::{LogLevel, Node, Timer, end_all_nodes, end_all_nodes_on_signal, end_of_all_nodes};
+pub use node::{LogLevel, Node, Timer, end_all_nodes, end_all_nodes_on_signal, end_of_all_nodes, signalled};
 pub use options::NodeOptions;
 pub use parameters::{ParameterDescriptor, ParameterRange, ParameterValue, Parameters};
 pub use pubsub::{MessageInfo, PublicationCounter, Publisher, RawPublisher, Subscription, Unread};

@@ -34,7 +34,7 @@ use ending::Closing;
 use system::SIM_TIME;
 use timers::{Alarm, TimerInner, keep_time};
 
-pub use ending::{end_all_nodes, end_all_nodes_on_signal, end_of_all_nodes};
+pub use ending::{end_all_nodes, end_all_nodes_on_signal, end_of_all_nodes, signalled};
 pub(crate) use endpoints::{Close, Core, Registration, runtime};
 pub use system::LogLevel;
 pub use timers::Timer;

@@ -57,7 +57,7 @@ fn frame(model: &dyn ForwardModel, contacts: Vec<Indentation>, rng: &mut ChaCha8
 }
 
 /// On the fovea, a nail of thin elastomer. Presses are found lightly first and followed as they grow. It stretches, so that frames change ever
-/// less as forces grow, and minima lie beside one another: half of the presses come out as likely as a search that begins at the truth.
+/// less as forces grow, and minima lie beside one another: half of the presses at least come out as likely as from the truth.
 #[test]
 fn presses_on_the_fovea_are_followed_as_they_grow() {
     dermis_skin::register(dermis_insight::FAMILY);

@@ -3,8 +3,8 @@
 //! Contacts become forces on the points of the outside, these displacements of the inside ([`Basis`]), these changes of colour
 //! ([`Shading`]), and these numbers or a picture ([`Picture`]).
 //!
-//! Assumptions: displacements are linear in forces, but for what the elastomer's [stretching](crate::elastic::stretching) takes from each contact's; the
-//! camera and its lamps do not move; what a touch changes is smooth over the grid of the inside.
+//! Assumptions: displacements are linear in forces, and each contact's are less by what the elastomer's
+//! [stretching](crate::elastic::stretching) takes of them; the camera and its lamps do not move; what a touch changes is smooth over the grid of the inside.
 //!
 //! Derivatives are those of displacements through the slopes of the untouched inside ([`Shading::slopes`]): what
 //! follows them to a minimum needs them no more exactly.

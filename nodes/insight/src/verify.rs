@@ -92,11 +92,12 @@ pub fn judged() -> Result<Vec<Case>, CalculixError> {
     };
     // Linear cells bend as solids of 20 nodes do where there are twice as many of them.
     let mesh = Plate { cells: [14, 12, 4], ..plate }.mesh();
-    let middle = mesh.nodes.iter().position(|p| p.coords.norm() < 1e-9);
-    let middle = middle.ok_or(CalculixError::Results("node in the middle"))?;
-    let sides = plate.pushed(&mesh);
-    let each = Vector3::new(0.0, 0.0, -1.0 / (4 * sides.len()) as f64);
-    let load: Vec<(usize, Vector3<f64>)> = sides.iter().flatten().map(|n| (*n, each)).collect();
+    let middle = plate.middle(&mesh.nodes)?;
+    let cells = plate.pushed(&mesh);
+    // A quarter of a side's share on each of its corners.
+    let each = Vector3::new(0.0, 0.0, -1.0 / (4 * cells.len()) as f64);
+    let corners = cells.iter().flat_map(|cell| [4, 5, 6, 7].map(|k| mesh.cells[*cell][k] as usize));
+    let load: Vec<(usize, Vector3<f64>)> = corners.map(|n| (n, each)).collect();
     let held = |_: usize, p: &Point3<f64>| [plate.held(p); 3];
     let solid = Solid::new(mesh, plate.young_modulus, plate.poisson_ratio, held)?;
     let per_newton = -solid.displacements(&[load])[0][middle].z;

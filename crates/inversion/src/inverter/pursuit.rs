@@ -27,9 +27,9 @@ const REACH: f64 = 4.5;
 const BELONGS: f32 = 0.03;
 /// Rounds of taking in and looking anew, at most.
 const ROUNDS: usize = 3;
-/// What must be gained of the sum of squared deviations that more is tried, and as a share of what noise does not explain of it: where the model does
-/// not fit, everything that is tried gains a little.
+/// What must be gained of the sum of squared deviations that more is tried.
 const WORTH: f64 = 4.0;
+/// The same as a share of what noise does not explain of that sum: where the model does not fit, everything that is tried gains a little.
 const WORTH_SHARE: f64 = 0.02;
 /// Share of a reading that a first fit leaves to it.
 const COARSE: f64 = 0.2;

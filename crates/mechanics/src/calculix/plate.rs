@@ -1,7 +1,5 @@
 //! A rubber plate that is held at its edges, pushed in so far that it stretches.
 
-use std::collections::HashMap;
-
 use nalgebra::{Point3, Vector3};
 
 use super::quadratic::{LAST_SIDE, Quadratic};
@@ -42,15 +40,25 @@ impl Plate {
         [p.x, p.y].iter().zip(self.size).any(|(p, size)| (p.abs() - size / 2.0).abs() < 1e-9)
     }
 
-    /// The corners of cells' sides whose middle is within the patch.
+    /// Cells whose last side has its middle within the patch.
     #[must_use]
-    pub fn pushed(&self, mesh: &HexMesh) -> Vec<[usize; 4]> {
-        let sides = mesh.cells.iter().map(|cell| [4, 5, 6, 7].map(|k| cell[k] as usize));
-        let within = |side: &[usize; 4]| {
-            let middle = side.iter().map(|n| mesh.nodes[*n].coords).sum::<Vector3<f64>>() / 4.0;
+    pub fn pushed(&self, mesh: &HexMesh) -> Vec<usize> {
+        let within = |cell: &usize| {
+            let corners = LAST_SIDE[..4].iter().map(|k| mesh.nodes[mesh.cells[*cell][*k] as usize].coords);
+            let middle = corners.sum::<Vector3<f64>>() / 4.0;
             (middle.z - self.thickness).abs() < 1e-9 && middle.xy().norm() <= self.patch
         };
-        sides.filter(within).collect()
+        (0..mesh.cells.len()).filter(within).collect()
+    }
+
+    /// The node in the middle of the side that is not pushed.
+    ///
+    /// # Errors
+    ///
+    /// [`CalculixError::Results`] where the cells have none there.
+    pub fn middle(&self, nodes: &[Point3<f64>]) -> Result<usize, CalculixError> {
+        let middle = nodes.iter().position(|p| p.coords.norm() < 1e-9);
+        middle.ok_or(CalculixError::Results("node in the middle"))
     }
 }
 
@@ -62,27 +70,16 @@ impl Plate {
 /// [`CalculixError`] where there is no CalculiX, or it fails.
 pub fn plate_deflections(plate: &Plate, forces: &[f64]) -> Result<Vec<f64>, CalculixError> {
     let mesh = plate.mesh();
-    let sides = plate.pushed(&mesh);
     let solid = Quadratic::new(&mesh, |middle| middle);
     let held = (0..solid.nodes.len()).filter(|n| plate.held(&solid.nodes[*n])).map(|n| (n, [true; 3]));
     let held = held.collect();
-    // An even pressure on a side of eight nodes is a third of its force on each node between two corners, less a twelfth on each corner.
-    let mut shares: HashMap<usize, f64> = HashMap::new();
-    for cell in &solid.cells {
-        let side = LAST_SIDE.map(|k| cell[k]);
-        if sides.iter().any(|corners| corners.iter().all(|n| side[..4].contains(n))) {
-            for (k, n) in side.iter().enumerate() {
-                *shares.entry(*n).or_default() += if k < 4 { -1.0 / 12.0 } else { 1.0 / 3.0 };
-            }
-        }
-    }
-    let whole: f64 = shares.values().sum();
-    let load = |force: &f64| {
-        let push = |(n, share): (&usize, &f64)| (*n, Vector3::new(0.0, 0.0, -force * share / whole));
-        Load { forces: shares.iter().map(push).collect(), ..Load::default() }
+    let (shares, points) = solid.spread(plate.pushed(&mesh).into_iter(), |_| -Vector3::z());
+    let whole: f64 = points.iter().map(|(_, f)| f.norm()).sum();
+    let load = |force: &f64| Load {
+        forces: shares.iter().map(|(n, share)| (*n, share * (force / whole))).collect(),
+        ..Load::default()
     };
-    let middle = |p: &Point3<f64>| p.coords.norm() < 1e-9;
-    let middle = solid.nodes.iter().position(middle).ok_or(CalculixError::Results("node in the middle"))?;
+    let middle = plate.middle(&solid.nodes)?;
     let model = Model {
         held,
         nodes: solid.nodes,

@@ -44,8 +44,12 @@ pub fn end_all_nodes_on_signal() -> Result<(), NodeError> {
 }
 
 /// Ends with Ctrl-C or SIGTERM, from now on; wherever tokio runs.
+///
+/// # Errors
+///
+/// When the signals cannot be listened to.
 #[cfg(unix)]
-fn signalled() -> std::io::Result<impl Future<Output = ()>> {
+pub fn signalled() -> std::io::Result<impl Future<Output = ()>> {
     use tokio::signal::unix::{SignalKind, signal};
     let (mut interrupt, mut terminate) = (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?);
     Ok(async move {
@@ -54,8 +58,12 @@ fn signalled() -> std::io::Result<impl Future<Output = ()>> {
 }
 
 /// Ends with Ctrl-C.
+///
+/// # Errors
+///
+/// None.
 #[cfg(not(unix))]
-fn signalled() -> std::io::Result<impl Future<Output = ()>> {
+pub fn signalled() -> std::io::Result<impl Future<Output = ()>> {
     Ok(async {
         let _ = tokio::signal::ctrl_c().await;
     })

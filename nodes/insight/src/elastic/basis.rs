@@ -4,8 +4,8 @@
 //! solutions for each point of the outside. A column holds the displacements of the inside on a grid of rows and meridians, in a window that
 //! reaches so far from the point, and how far points of the outside give way. Besides, the body's own weight along x, y and z.
 //!
-//! Assumption: displacements are linear in forces; by how much less a skin gives way that stretches is
-//! [`stretching`](super::stretching)'s. What lies outside of a window is left out: 8 % of the energy at 10 mm.
+//! Assumption: displacements are linear in forces; [`stretching`](super::stretching) says by how much less a skin gives way once it stretches. What lies
+//! outside of a window is left out: 8 % of the energy at 10 mm.
 //!
 //! Cost: with 100,000 unknowns and 3,800 points about a minute on two cores, and some 100 MB; it is kept on disk.
 
