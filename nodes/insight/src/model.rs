@@ -6,8 +6,7 @@
 //! Assumptions: displacements are linear in forces, and each contact's are less by what the elastomer's
 //! [stretching](crate::elastic::stretching) takes of them; the camera and its lamps do not move; what a touch changes is smooth over the grid of the inside.
 //!
-//! Derivatives are those of displacements through the slopes of the untouched inside ([`Shading::slopes`]): what
-//! follows them to a minimum needs them no more exactly.
+//! Derivatives follow displacements through the displaced inside as the camera sees it ([`Shading::slopes`]).
 //!
 //! Cost: the first touch of a design computes its basis, one to two minutes for the thumb that ships, which is then kept on disk. After that,
 //! 0.7 ms a response.
@@ -28,8 +27,10 @@ use crate::effects::{self, Dynamics};
 use crate::elastic::basis::{Basis, Field};
 use crate::elastic::contact::{Footprint, gripping};
 use crate::elastic::stretching::Stretching;
+use crate::optics::displaced::Displaced;
 use crate::optics::picture::Picture;
 use crate::optics::shading::{Changes, Shading};
+use crate::optics::slopes::Linear;
 use crate::optics::{Observer, Table};
 use crate::parameters::Parameters;
 
@@ -69,6 +70,8 @@ struct Pressed {
 struct Scratch {
     field: Field,
     moved: Field,
+    displaced: Displaced,
+    linear: Linear,
     changes: Changes,
 }
 
@@ -238,14 +241,15 @@ impl ThumbModel {
     }
 
     /// Calls with what changes for each unknown of each contact, to first order; `None` where nothing can move. `field` has the displacements of
-    /// the stimulus.
+    /// the stimulus, and `displaced` what the camera sees of them.
     fn each_slope(
         &self,
         (stimulus, unknowns): (&Stimulus, Unknowns),
         differences: &Differences,
-        Scratch { field, moved, changes }: &mut Scratch,
+        Scratch { field, moved, displaced, linear, changes }: &mut Scratch,
         mut each: impl FnMut(Option<&Changes>),
     ) -> Result<(), ModelError> {
+        self.shading.linearise(displaced, linear);
         for (index, contact) in stimulus.contacts.iter().enumerate() {
             for unknown in unknowns.list() {
                 let (plus, minus, step) = differences.neighbours(&self.surface, contact, unknowns, *unknown);
@@ -254,7 +258,7 @@ impl ThumbModel {
                     continue;
                 }
                 self.displace_by(index, [(&plus, 1.0 / step), (&minus, -1.0 / step)], moved)?;
-                self.shading.slopes(field, moved, changes);
+                self.shading.slopes((field, displaced), linear, moved, changes);
                 each(Some(&*changes));
             }
         }
@@ -275,7 +279,7 @@ impl ThumbModel {
     ) -> Result<DMatrix<f64>, ModelError> {
         let mut columns: Vec<Vec<f32>> = Vec::new();
         SCRATCH.with_borrow_mut(|scratch| {
-            self.displace(stimulus, &mut scratch.field)?;
+            self.see(stimulus, scratch)?;
             self.each_slope((stimulus, unknowns), differences, scratch, |changes| {
                 columns.push(changes.map_or_else(Vec::new, |changes| self.picture.whitened(changes)));
             })
@@ -313,11 +317,18 @@ impl ThumbModel {
         stimulus: &Stimulus,
         make: impl FnOnce(&[(&Changes, f64)], f64) -> T,
     ) -> Result<T, ModelError> {
-        SCRATCH.with_borrow_mut(|Scratch { field, changes, .. }| {
-            self.displace(stimulus, field)?;
-            self.shading.changes(field, changes);
-            Ok(make(&[(changes, 1.0)], self.brighter(stimulus.temperature)))
+        SCRATCH.with_borrow_mut(|scratch| {
+            self.see(stimulus, scratch)?;
+            Ok(make(&[(&scratch.changes, 1.0)], self.brighter(stimulus.temperature)))
         })
+    }
+
+    /// What a stimulus displaces inside, and what that changes.
+    fn see(&self, stimulus: &Stimulus, scratch: &mut Scratch) -> Result<(), ModelError> {
+        let Scratch { field, displaced, changes, .. } = scratch;
+        self.displace(stimulus, field)?;
+        self.shading.changes(field, displaced, changes);
+        Ok(())
     }
 }
 
@@ -370,8 +381,7 @@ impl ForwardModel for ThumbModel {
         let brighter = self.brighter(stimulus.temperature);
         let mut columns = out.chunks_exact_mut(self.channels());
         SCRATCH.with_borrow_mut(|scratch| {
-            self.displace(stimulus, &mut scratch.field)?;
-            self.shading.changes(&scratch.field, &mut scratch.changes);
+            self.see(stimulus, scratch)?;
             let switches = self.picture.switches(&scratch.changes, brighter);
             self.each_slope((stimulus, unknowns), differences, scratch, |changes| {
                 match (columns.next(), changes) {

@@ -16,7 +16,7 @@ use crate::elastic::stretching::STRETCHED;
 use crate::optics::lens::FULL_WIDTH;
 use crate::optics::light::{Beam, COLOURS, Finish, Lamp};
 use crate::optics::picture::Texture;
-use crate::optics::shading::Ridges;
+use crate::optics::ridges::Ridges;
 use crate::optics::{Camera, Light, Noise};
 use crate::shape::Thumb;
 use crate::surface::Rings;

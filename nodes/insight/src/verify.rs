@@ -1,4 +1,4 @@
-//! Figures of the thumb's physics, computed now, against closed forms and the thesis: I1, I3, I4 and I5; I6 with CalculiX.
+//! Figures of the thumb's physics, computed now, against closed forms and the thesis: I1, I3, I4, I5 and I7; I6 with CalculiX.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -8,11 +8,17 @@ use dermis_mechanics::fem::{HexMesh, Solid};
 use dermis_model::Case;
 use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
 
+use crate::elastic::basis::{Field, Grid};
+use crate::elastic::mesh::{Elastomer, Skeleton};
 use crate::elastic::stretching::{STRETCHED, relaxed};
+use crate::optics::displaced::Displaced;
 use crate::optics::lens::field_of_view;
 use crate::optics::light::{Beam, COLOURS, Finish, Lamp};
 use crate::optics::picture::Noise;
-use crate::optics::{Camera, Light};
+use crate::optics::shading::{Changes, inside};
+use crate::optics::table::met_along;
+use crate::optics::{Camera, Light, Shading};
+use crate::shape::Thumb;
 
 /// Every case of this family.
 ///
@@ -27,6 +33,7 @@ pub fn cases() -> Result<Vec<Case>, MechanicsError> {
     cases.extend(fields_of_view());
     cases.push(round_trip());
     cases.extend([point_lamp(), furnace(), noise()]);
+    cases.extend(moved_wall().map_err(|reason| MechanicsError::Contact { reason })?);
     Ok(cases)
 }
 
@@ -208,6 +215,81 @@ fn noise() -> Case {
     let got = 2f64.sqrt() * noise.deviation(0.4);
     let what = "root mean square of the difference of two untouched pictures, at a brightness of 0.4";
     Case::relative("I5-idle", what, "thesis, section 6.4.3", "", [got, 0.012], 0.1)
+}
+
+/// \[m\] by which the whole inside moves inwards, and how far its looks may be off, over their change. Where the tip meets the cone, normals
+/// begin to turn within a cell of the grid, which is more of a small change.
+const MOVED: [(f64, f64); 3] = [(1e-4, 0.06), (1e-3, 0.01), (3e-3, 0.01)];
+
+/// An inside that moves inwards everywhere looks like that of a thumb whose elastomer is thicker by as much. Rays meet that one by Newton's
+/// method on its own shape, and neither a grid nor a displacement is in it.
+fn moved_wall() -> Result<[Case; 3], String> {
+    let camera = Camera {
+        size: [410, 308],
+        focal: FOCAL / 4.0,
+        position: Point3::new(0.0, 0.0, 0.003),
+        orientation: Rotation3::identity(),
+    };
+    let mut light = wide_lamp();
+    light.lamps[0].position = Point3::new(0.006, 0.003, 0.003);
+    light.finish = Finish { diffuse: 0.5, specular: 1.0, shininess: 12.0 };
+    let thumb = Thumb::new(0.020, 0.070, 0.009)?;
+    let grid = Grid::new(0.06, 0.00125, 84);
+    let elastomer = |thickness: f64| Elastomer {
+        thumb,
+        thickness,
+        young_modulus: 70e3,
+        poisson_ratio: 0.49,
+        density: 1070.0,
+        skeleton: Skeleton { beam: 0.0016, inside: 0.0008, rings: Vec::new(), meridians: Vec::new() },
+        fovea: None,
+        around: 10,
+        layers: 2,
+        cell: 0.002,
+    };
+    let before = elastomer(0.004);
+    let shading = Shading::new(&before, grid, &camera, light.clone(), None);
+    Ok(MOVED.map(|(by, within)| {
+        let after = elastomer(before.thickness + by);
+        let mut field = Field { values: Vec::new(), rows: [0, grid.rows] };
+        for node in 0..grid.count() {
+            let [s, azimuth] = grid.place(node);
+            let (_, normal) = inside(&before, s, azimuth);
+            field.values.extend((normal * by).iter().map(|u| *u as f32));
+        }
+        let mut changes = Changes::default();
+        shading.changes(&field, &mut Displaced::default(), &mut changes);
+        let seen = |of: &Elastomer, [s, azimuth]: [f64; 2]| {
+            let (p, normal) = inside(of, s, azimuth);
+            light.seen(light.radiance(&p, &normal, &(camera.position - p).normalize()))
+        };
+        let (mut off, mut whole) = (0.0, 0.0);
+        // The last rows look past the end of the other.
+        for node in 0..grid.count() - 4 * grid.columns {
+            let place = grid.place(node);
+            let ray = (inside(&before, place[0], place[1]).0 - camera.position).normalize();
+            let Some(met) = met_along(&after, &camera.position, &ray) else { continue };
+            let (now, then) = (seen(&after, met), seen(&before, place));
+            let (row, column) = (node / grid.columns, node % grid.columns);
+            let found = changes.values[row * (grid.columns + 1) + column];
+            for c in 0..COLOURS {
+                let exact = f64::from(now[c] - then[c]);
+                off += (f64::from(found[c]) - exact).powi(2);
+                whole += exact * exact;
+            }
+        }
+        Case::new(
+            format!("I7-{by:e}"),
+            format!(
+                "inside that moves inwards by {} mm everywhere: how far its looks are off, over their change",
+                by * 1e3
+            ),
+            "a thumb whose elastomer is thicker by as much, rays followed by Newton's method",
+            "",
+            [(off / whole).sqrt(), 0.0],
+            (within, 1.0),
+        )
+    }))
 }
 
 #[cfg(test)]

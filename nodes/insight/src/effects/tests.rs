@@ -85,7 +85,7 @@ fn impossible_devices_are_refused_by_field() {
 fn pictures_remember_as_numbers_do() {
     let effect = Effect::new("creep").with("share", 0.5).with("time", 0.5);
     let model = ThumbModel::new(&small(vec![effect])).unwrap();
-    let stimulus = Stimulus { contacts: vec![press(&model, 0.03, 1.0, 0.8, 0.0)], ..Stimulus::default() };
+    let stimulus = Stimulus { contacts: vec![press(&model, 0.03, 3.0, 0.8, 0.0)], ..Stimulus::default() };
     let seen = |times: &[f64]| {
         let mut state = model.start(0);
         let mut out = vec![0.0; model.channels()];

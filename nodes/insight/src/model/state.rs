@@ -6,6 +6,7 @@ use dermis_skin::{Image, ModelError};
 use super::{ThumbModel, seed};
 use crate::effects::Started;
 use crate::elastic::basis::Field;
+use crate::optics::displaced::Displaced;
 use crate::optics::shading::Changes;
 
 /// The state of a thumb.
@@ -15,6 +16,7 @@ pub(super) struct Device<'a> {
     field: Field,
     /// What has crept of the inside's displacement, node by node.
     crept: Vec<f32>,
+    displaced: Displaced,
     changes: Changes,
     /// Of the frame before.
     before: Changes,
@@ -31,6 +33,7 @@ impl<'a> Device<'a> {
             effects,
             field: Field::default(),
             crept: Vec::new(),
+            displaced: Displaced::default(),
             changes: Changes::default(),
             before: Changes::default(),
             last: None,
@@ -61,7 +64,7 @@ impl<'a> Device<'a> {
             std::mem::swap(&mut self.changes, &mut self.before);
             self.skew = dt.map_or(0.0, |dt| if dt > 0.0 { duration / dt } else { 1.0 });
         }
-        model.shading.changes(&self.field, &mut self.changes);
+        model.shading.changes(&self.field, &mut self.displaced, &mut self.changes);
         Ok(())
     }
 

@@ -252,12 +252,12 @@ fn numbers_have_the_noise_that_they_are_said_to_have() {
     }
 }
 
-/// The slopes that inversion follows: those of differences, but for what shading bends.
+/// The slopes that inversion follows are those of differences.
 #[test]
 fn slopes_are_those_of_small_differences() {
     for skin in [small(vec![]), ridged()] {
         let model = ThumbModel::new(&skin).unwrap();
-        let contacts = vec![press(&model, 0.03, 0.7, 0.02, 0.004), press(&model, 0.05, 3.0, 0.03, -0.01)];
+        let contacts = vec![press(&model, 0.03, 2.0, 0.2, 0.04), press(&model, 0.05, 3.0, 0.3, -0.1)];
         let stimulus = touched(contacts);
         // Steps that 32-bit colours can tell.
         let differences = Differences {
@@ -288,9 +288,8 @@ fn slopes_are_those_of_the_pixels_that_are_open_now() {
     let model = ThumbModel::new(&bright).unwrap();
     let stimulus = touched(vec![press(&model, 0.006, -2.0, 1.0, 0.1)]);
     let mut scratch = Scratch::default();
-    let Scratch { field, changes, .. } = &mut scratch;
-    model.displace(&stimulus, field).unwrap();
-    model.shading.changes(field, changes);
+    model.see(&stimulus, &mut scratch).unwrap();
+    let changes = &scratch.changes;
     let switches = model.picture.switches(changes, 1.0);
     let (by, size) = (1e-3, model.channels());
     let mut more = changes.clone();

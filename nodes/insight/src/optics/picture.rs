@@ -23,7 +23,8 @@ use super::clipping::{Clipping, Switch};
 use super::light::COLOURS;
 use super::numbers::Numbers;
 use super::observer::Observer;
-use super::shading::{CHANGES, Changes, Ridges};
+use super::ridges::Ridges;
+use super::shading::{CHANGES, Changes};
 use super::table::Table;
 use crate::jpeg::sent;
 

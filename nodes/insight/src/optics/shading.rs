@@ -1,102 +1,81 @@
 //! The inside in its grid: where it is, how it is lit, and how its looks change where it moves.
 //!
-//! Looks depend on the shape of the surface. A displacement u moves it by h = u·n along its normal; along itself it moves it too, but then it
-//! is the same surface again. A pixel looks along a ray: where the surface has moved by h, the ray meets it h/(d·n) further on, d the ray's
-//! direction. The normal there is that of the displaced grid. So the change of a pixel's colour is found in its own place, to first
-//! order in the displacement over its width.
+//! A picture is a matter of rays: each node of the untouched grid stands for the ray from the camera through it. Where the inside moves,
+//! the ray meets another part of it ([`casting`](super::casting)), which is lit by its own place and normal; both are interpolated over a
+//! triangle of the grid (B. T. Phong, *Communications of the ACM*, 1975). The normal of a corner is that of the displaced grid.
 //!
-//! Ridges are too fine for the grid. What a displacement does to them is that they move: a pixel then sees another phase of them.
+//! Where little moves, that is in proportion: a displacement u moves the ray's end by t = u·n / d·n along the ray, d its direction, so that it
+//! sees the part that was at t d − u beside, with the normal there.
 //!
-//! Cost: nodes that neither move nor have a neighbour that does are skipped; about 0.4 µs for any other, and a tenth of that where it moves
-//! so little that its looks change in proportion, after a table that takes 0.1 s once. Derivatives are those of the untouched inside but for
-//! the ridges' phases, where it is now.
+//! Ridges are too fine for the grid. What a displacement does to them is that they move: a pixel then sees another phase of them. Where phases
+//! change by much from ray to ray, pixels between see all of them, and nothing is left of a wave in the mean.
+//!
+//! Assumptions: no shadows; ridges are lit as on the untouched inside, and no closer where the inside stretches.
+//!
+//! Cost: nodes that neither move nor have a neighbour that does are skipped; about 0.5 µs for any other, and a tenth of that where it moves
+//! so little that its looks change in proportion, after a table that takes 0.1 s once.
 
-use std::f64::consts::TAU;
 use std::sync::OnceLock;
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Matrix3, Point3, Vector3};
 
+use super::casting::{Corner, Met, Rays};
+use super::displaced::{Displaced, Turned, across, beside, displacement, flat, neighbours};
 use super::lens::Camera;
 use super::light::{COLOURS, Light};
+use super::ridges::{Phases, Ridges};
+use super::visibility::{PARTS, part};
 use crate::elastic::basis::{Field, Grid};
 use crate::elastic::mesh::Elastomer;
 
 /// Least cosine between ray and normal: rays that graze the surface see it move no further than this lets them.
-const GRAZING: f64 = 0.05;
-
-/// Ridges of the inside, moulded along its rings and its meridians: waves of the surface's height, and of its slope.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Ridges {
-    /// \[m\] along the meridian from ridge to ridge.
-    pub pitch: f64,
-    /// Ridges around.
-    pub count: u32,
-    /// \[m\] from trough to crest.
-    pub height: f64,
-}
-
-/// Directions of a place of the inside in which ridges follow each other, times what a metre along them changes of the ridges' phases \[rad\].
-type Phases = [Vector3<f64>; 2];
-
-impl Ridges {
-    /// Phases \[rad\] of the ridges at (s, φ), and how they change from there; `normal` points inwards.
-    #[must_use]
-    pub fn phases(
-        &self,
-        elastomer: &Elastomer,
-        [s, azimuth]: [f64; 2],
-        normal: &Vector3<f64>,
-    ) -> ([f64; 2], Phases) {
-        let (sin, cos) = azimuth.sin_cos();
-        let around = Vector3::new(-sin, cos, 0.0);
-        let depth = elastomer.thickness_at(s, azimuth);
-        let r = elastomer.thumb.meridian(s, depth)[0];
-        // On the tip, the inside is shorter than the outside that s is measured on.
-        let shorter =
-            if s < elastomer.thumb.cap() { 1.0 - depth * elastomer.thumb.curvature(s) } else { 1.0 };
-        let wave = TAU / self.pitch;
-        let count = f64::from(self.count);
-        // Ridges along meridians end where they would be closer than those along rings.
-        let closest = if r * wave >= count { count / r } else { 0.0 };
-        let phases = [wave * s, count * azimuth];
-        (phases, [around.cross(normal) * (wave / shorter), around * closest])
-    }
-
-    /// The inward normal with the ridges' slopes.
-    #[must_use]
-    pub fn tilted(&self, normal: &Vector3<f64>, phases: [f64; 2], along: &Phases) -> Vector3<f64> {
-        let slope = |k: usize| along[k] * (0.5 * self.height * phases[k].sin());
-        (normal + slope(0) + slope(1)).normalize()
-    }
-}
+pub(super) const GRAZING: f64 = 0.05;
 
 /// What is known of a node of the grid.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Node {
-    position: Point3<f64>,
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Node {
+    pub(super) position: Point3<f64>,
     /// Inwards.
-    normal: Vector3<f64>,
+    pub(super) normal: Vector3<f64>,
     /// Of the grid itself, which differs from the surface's by its cells.
-    of_grid: Vector3<f64>,
-    /// Unit, from the camera.
-    ray: Vector3<f64>,
+    pub(super) of_grid: Vector3<f64>,
+    /// 1 where the product of the edges between neighbours points inwards, −1 where it points outwards.
+    turn: f64,
+    /// How the normal changes beside it, per metre.
+    bends: Matrix3<f64>,
     /// Of ridges.
-    along: Phases,
+    pub(super) along: Phases,
     /// \[m\] that it and its neighbours move at most for its colours to change in proportion.
-    slight: f32,
+    pub(super) slight: f32,
+    /// What its ray meets of the untouched inside.
+    pub(super) met: Met,
 }
 
 /// The lit inside.
 #[derive(Debug, Clone)]
 pub struct Shading {
-    grid: Grid,
-    nodes: Vec<Node>,
-    /// What a picture says of each node that nothing moves.
-    seen: Vec<[f32; COLOURS]>,
-    light: Light,
+    pub(super) grid: Grid,
+    pub(super) nodes: Vec<Node>,
+    pub(super) rays: Rays,
+    /// What a picture says of each ray where nothing moves.
+    pub(super) seen: Vec<[f32; COLOURS]>,
+    /// Parts of each ray, [`PARTS`] of them, where they end if nothing moves, and what a picture says of them then.
+    pub(super) parts: Rays,
+    pub(super) untouched: Vec<Met>,
+    pub(super) seen_in_parts: Vec<[f32; COLOURS]>,
+    /// Whether a ray differs from the mean of its parts where nothing moves.
+    pub(super) uneven: Vec<bool>,
+    pub(super) light: Light,
+    /// \[rad\] from row to row and from column to column.
+    pub(super) ridges: [f64; 2],
     /// What a node says more for each metre that it and its neighbours move; made by the first that asks.
     slopes: OnceLock<Vec<Slopes>>,
+}
+
+/// Changes of colours, and of ridges.
+pub(super) fn with_ridges([red, green, blue]: [f32; COLOURS], ridges: [f64; 2]) -> [f32; CHANGES] {
+    let [along, around] = ridges.map(|v| v as f32);
+    [red, green, blue, along, around]
 }
 
 /// Of a node and its [`neighbours`], along x, y, z of each: changes of the colours.
@@ -112,7 +91,7 @@ const SLIGHT: f64 = 4e-3;
 /// Changes of colours by node, a column more than the grid has: the last is the first again. And the rows that have any.
 #[derive(Debug, Clone, Default)]
 pub struct Changes {
-    /// Row by row: of each colour, and of ridges' phases, as the negative sine of how far they have moved.
+    /// Row by row: of each colour, and of ridges' phases, as the sine of how far those that are seen are from those that were.
     pub values: Vec<[f32; CHANGES]>,
     /// First row, and the one after the last.
     pub rows: [usize; 2],
@@ -124,7 +103,7 @@ pub struct Changes {
 pub const CHANGES: usize = COLOURS + 2;
 
 impl Changes {
-    fn clear(&mut self, grid: &Grid) {
+    pub(super) fn clear(&mut self, grid: &Grid) {
         let size = grid.rows * (grid.columns + 1);
         if self.values.len() == size {
             for node in self.nodes.drain(..) {
@@ -138,7 +117,8 @@ impl Changes {
         self.rows = [grid.rows, 0];
     }
 
-    fn set(&mut self, grid: &Grid, [row, column]: [usize; 2], value: [f32; CHANGES]) {
+    pub(super) fn set(&mut self, grid: &Grid, node: usize, value: [f32; CHANGES]) {
+        let (row, column) = (node / grid.columns, node % grid.columns);
         let wide = grid.columns + 1;
         self.values[row * wide + column] = value;
         self.nodes.push((row * wide + column) as u32);
@@ -183,30 +163,77 @@ impl Shading {
         light: Light,
         ridges: Option<&Ridges>,
     ) -> Self {
-        let mut nodes: Vec<Node> = (0..grid.count())
-            .map(|node| {
-                let [s, azimuth] = grid.place(node);
-                let (position, normal) = inside(elastomer, s, azimuth);
-                let ray = (position - camera.position).try_normalize(1e-9).unwrap_or_else(Vector3::z);
-                let none = [Vector3::zeros(); 2];
-                let along = ridges.map_or(none, |ridges| ridges.phases(elastomer, [s, azimuth], &normal).1);
-                Node { position, normal, of_grid: normal, ray, along, slight: 0.0 }
-            })
-            .collect();
-        let place = |node: usize| nodes[node].position;
-        let made: Vec<(Vector3<f64>, f64)> = (0..grid.count())
-            .map(|node| {
-                let apart = across(&grid, node).map(|[one, other]| (place(other) - place(one)).norm());
-                (normal_of(&grid, node, place, &nodes[node].normal), apart[0].min(apart[1]))
-            })
-            .collect();
-        for (node, (flat, apart)) in nodes.iter_mut().zip(made) {
-            node.of_grid = flat;
-            node.slight = (SLIGHT * apart) as f32;
+        let node = |node: usize| {
+            let [s, azimuth] = grid.place(node);
+            let (position, normal) = inside(elastomer, s, azimuth);
+            let none = [Vector3::zeros(); 2];
+            let along = ridges.map_or(none, |ridges| ridges.phases(elastomer, [s, azimuth], &normal).1);
+            let met = Met {
+                depth: (position - camera.position).norm(),
+                corners: [node; 3],
+                shares: [1.0, 0.0, 0.0],
+            };
+            Node {
+                position,
+                normal,
+                of_grid: normal,
+                turn: 1.0,
+                bends: Matrix3::zeros(),
+                along,
+                slight: 0.0,
+                met,
+            }
+        };
+        let nodes: Vec<Node> = (0..grid.count()).map(node).collect();
+        let through = |i: usize| {
+            let [s, azimuth] = part(&grid, i / PARTS, i % PARTS);
+            (inside(elastomer, s, azimuth).0 - camera.position).try_normalize(1e-9).unwrap_or_else(Vector3::z)
+        };
+        let parts = (0..grid.count() * PARTS).map(through).collect();
+        let ray = |node: &Node| (node.position - camera.position).try_normalize(1e-9);
+        let directions = nodes.iter().map(|node| ray(node).unwrap_or_else(Vector3::z)).collect();
+        let mut shading = Self {
+            grid,
+            nodes,
+            rays: Rays::new(camera.position, directions),
+            seen: Vec::new(),
+            parts: Rays::new(camera.position, parts),
+            untouched: Vec::new(),
+            seen_in_parts: Vec::new(),
+            uneven: Vec::new(),
+            light,
+            ridges: ridges.map_or([0.0; 2], |ridges| ridges.per_cell(&grid)),
+            slopes: OnceLock::new(),
+        };
+        shading.know_neighbours();
+        shading.see_untouched();
+        shading
+    }
+
+    /// Completes what nodes have of their neighbours.
+    fn know_neighbours(&mut self) {
+        let of = |node: usize| {
+            let Node { normal, .. } = &self.nodes[node];
+            let mut flat = flat(&self.grid, node, |node| self.nodes[node].position, (1.0, normal));
+            let turn = if flat.normal.dot(normal) < 0.0 { -1.0 } else { 1.0 };
+            flat.normal *= turn;
+            let turns = across(&self.grid, node)
+                .map(|[one, other]| self.nodes[other].normal - self.nodes[one].normal);
+            // The vector that has a product of 1 with one edge, and none with the other nor with the normal.
+            let dual = |own: &Vector3<f64>, other: &Vector3<f64>| {
+                let across = other.cross(normal);
+                let product = own.dot(&across);
+                if product.abs() > 1e-15 { across / product } else { Vector3::zeros() }
+            };
+            let [first, second] = &flat.edges;
+            let bends =
+                turns[0] * dual(first, second).transpose() + turns[1] * dual(second, first).transpose();
+            (flat.normal, turn, bends, (SLIGHT * first.norm().min(second.norm())) as f32)
+        };
+        let known: Vec<_> = (0..self.nodes.len()).map(of).collect();
+        for (node, (of_grid, turn, bends, slight)) in self.nodes.iter_mut().zip(known) {
+            (node.of_grid, node.turn, node.bends, node.slight) = (of_grid, turn, bends, slight);
         }
-        let seen =
-            nodes.iter().map(|n| light.seen(light.radiance(&n.position, &n.normal, &-n.ray))).collect();
-        Self { grid, nodes, seen, light, slopes: OnceLock::new() }
     }
 
     /// The same with light that the inside has reflected once: a share of the mean light on it, everywhere alike.
@@ -256,25 +283,50 @@ impl Shading {
         &self.grid
     }
 
-    /// Changes of what a picture says, by node, where the inside is displaced.
-    pub fn changes(&self, field: &Field, out: &mut Changes) {
-        self.each_that_moves(field, out, |node| {
-            let u = displacement(field, node);
-            let most = self.nodes[node].slight;
-            let slightly = |of: usize| field.values[3 * of..3 * of + 3].iter().all(|u| u.abs() <= most);
-            let seen = if slightly(node) && neighbours(&self.grid, node).into_iter().all(slightly) {
-                self.by_slopes(node, field)
-            } else {
-                let seen = self.colours(node, |node| displacement(field, node));
-                std::array::from_fn(|c| seen[c] - self.seen[node][c])
-            };
-            let ridges = self.phases(node, &u).map(|phase| -phase.sin() as f32);
-            std::array::from_fn(|c| if c < COLOURS { seen[c] } else { ridges[c - COLOURS] })
-        });
+    /// Changes of what a picture says, by node, where the inside is displaced; `displaced` becomes what rays meet then.
+    pub fn changes(&self, field: &Field, displaced: &mut Displaced, out: &mut Changes) {
+        out.clear(&self.grid);
+        self.see(field, displaced);
+        for (node, hit) in displaced.hits.places.iter().zip(&displaced.hits.values) {
+            let node = *node as usize;
+            let whole = self.lit_at(&self.rays.directions[node], &hit.met, displaced);
+            let whole = std::array::from_fn(|c| whole[c] - self.seen[node][c]);
+            let ridges = std::array::from_fn(|k| hit.left[k] * hit.phases[k].sin());
+            out.set(&self.grid, node, with_ridges(self.with_parts(node, whole, displaced), ridges));
+        }
+        for node in displaced.edges.places.iter().map(|node| *node as usize) {
+            if !displaced.hits.has(node) {
+                let whole = self.by_slopes(node, field);
+                let ridges = self.phases(node, &displacement(field, node)).map(f64::sin);
+                out.set(&self.grid, node, with_ridges(self.with_parts(node, whole, displaced), ridges));
+            }
+        }
+        let moves = |node: usize| field.values[3 * node..3 * node + 3] != [0.0; 3];
+        let mut moving = Vec::new();
+        beside(&self.grid, field, moves, &mut moving);
+        for node in (0..moving.len()).filter(|node| moving[*node] && displaced.sees_own(*node)) {
+            let ridges = self.phases(node, &displacement(field, node)).map(f64::sin);
+            out.set(&self.grid, node, with_ridges(self.by_slopes(node, field), ridges));
+        }
+    }
+
+    /// Changes of the colours of a ray, of which the parts have so much as it is beside an edge.
+    fn with_parts(&self, node: usize, whole: [f32; COLOURS], displaced: &Displaced) -> [f32; COLOURS] {
+        let Some(sharp) = displaced.edges.get(node) else { return whole };
+        let mut change = whole.map(|v| v * (1.0 - *sharp) as f32);
+        let share = (*sharp / PARTS as f64) as f32;
+        for part in node * PARTS..(node + 1) * PARTS {
+            let Some(met) = displaced.parts.get(part) else { continue };
+            let seen = self.lit_at(&self.parts.directions[part], met, displaced);
+            let before = &self.seen_in_parts[part];
+            let both = seen.iter().zip(before);
+            change.iter_mut().zip(both).for_each(|(sum, (now, then))| *sum += share * (now - then));
+        }
+        change
     }
 
     /// Changes of a node's colours, to first order, where nodes are displaced by `by`.
-    fn by_slopes(&self, node: usize, by: &Field) -> [f32; COLOURS] {
+    pub(super) fn by_slopes(&self, node: usize, by: &Field) -> [f32; COLOURS] {
         let slopes =
             self.slopes.get_or_init(|| (0..self.nodes.len()).map(|node| self.slopes_of(node)).collect());
         let mut value = [0.0; COLOURS];
@@ -287,51 +339,90 @@ impl Shading {
         value
     }
 
-    /// How these change, to first order, where the displacements `field` of the inside change by `by`.
-    pub fn slopes(&self, field: &Field, by: &Field, out: &mut Changes) {
-        self.each_that_moves(by, out, |node| {
-            let [red, green, blue] = self.by_slopes(node, by);
-            let [now, more] = [field, by].map(|field| self.phases(node, &displacement(field, node)));
-            let [along, around] = std::array::from_fn(|k| (-now[k].cos() * more[k]) as f32);
-            [red, green, blue, along, around]
-        });
+    /// A node of the displaced grid.
+    pub(super) fn turned(&self, field: &Field, node: usize) -> Turned {
+        let place = |node: usize| self.nodes[node].position + displacement(field, node);
+        let Node { normal, of_grid: like, turn, .. } = &self.nodes[node];
+        let flat = flat(&self.grid, node, place, (*turn, like));
+        let position = place(node);
+        let turned = normal + flat.normal - like;
+        let length = turned.norm();
+        let (normal, length) = if length > 1e-9 { (turned / length, length) } else { (*normal, 1.0) };
+        let corner = Corner { node, position, in_picture: self.rays.place(&position) };
+        Turned { corner, normal, flat, length }
     }
 
-    /// Calls for every node that moves or has a neighbour that does.
-    fn each_that_moves(&self, field: &Field, out: &mut Changes, value: impl Fn(usize) -> [f32; CHANGES]) {
-        out.clear(&self.grid);
-        let [first, end] = field.rows;
-        let Grid { rows, columns, .. } = self.grid;
-        let moves = |node: usize| field.values[3 * node..3 * node + 3] != [0.0; 3];
-        for row in first.saturating_sub(1)..(end + 1).min(rows) {
-            for column in 0..columns {
-                let node = row * columns + column;
-                if moves(node) || neighbours(&self.grid, node).into_iter().any(moves) {
-                    out.set(&self.grid, [row, column], value(node));
-                }
-            }
-        }
+    /// What a picture says of what a ray meets.
+    pub(super) fn lit_at(
+        &self,
+        direction: &Vector3<f64>,
+        met: &Met,
+        displaced: &Displaced,
+    ) -> [f32; COLOURS] {
+        let normal = normal_at(met, displaced).try_normalize(1e-9);
+        self.colour(direction, met.depth, &normal.unwrap_or(-direction))
     }
 
-    /// What a picture says of a node where nodes are displaced.
-    fn colours(&self, node: usize, moved: impl Fn(usize) -> Vector3<f64>) -> [f32; COLOURS] {
-        let Node { position, normal, of_grid, ray, .. } = &self.nodes[node];
+    /// What a picture says of a ray that ends at a depth \[m\] where the inside has a unit normal.
+    pub(super) fn colour(
+        &self,
+        direction: &Vector3<f64>,
+        depth: f64,
+        normal: &Vector3<f64>,
+    ) -> [f32; COLOURS] {
+        let end = self.rays.camera + direction * depth;
+        self.light.seen(self.light.radiance(&end, normal, &-direction))
+    }
+
+    /// What a picture says of a node where it and its neighbours are displaced, as long as its ray ends beside it.
+    fn colours_beside(&self, ray: usize, moved: impl Fn(usize) -> Vector3<f64>) -> [f32; COLOURS] {
+        let Node { normal, of_grid: like, turn, bends, met, .. } = &self.nodes[ray];
         let place = |node: usize| self.nodes[node].position + moved(node);
-        let turned = normal + normal_of(&self.grid, node, place, of_grid) - of_grid;
-        let turned = turned.try_normalize(1e-9).unwrap_or(*normal);
-        let on = self.nodes[node].further(&moved(node));
-        self.light.seen(self.light.radiance(&(position + ray * on), &turned, &-ray))
+        let of_grid = flat(&self.grid, ray, place, (*turn, like)).normal;
+        let (on, beside) = self.further(ray, &moved(ray));
+        let turned = (normal + of_grid - like + bends * beside).try_normalize(1e-9).unwrap_or(*normal);
+        self.colour(&self.rays.directions[ray], met.depth + on, &turned)
     }
 
-    /// \[rad\] by which a node's displacement moves its ridges: along the surface, by what is left of it where the ray meets it.
-    fn phases(&self, node: usize, u: &Vector3<f64>) -> [f64; 2] {
-        let node = &self.nodes[node];
-        let left = u + node.ray * node.further(u);
-        node.along.map(|along| left.dot(&along))
+    /// \[m\] by which a ray ends further on where its node is displaced, and from which place beside it what it then sees has come.
+    fn further(&self, ray: usize, u: &Vector3<f64>) -> (f64, Vector3<f64>) {
+        let (direction, normal) = (&self.rays.directions[ray], &self.nodes[ray].normal);
+        let on = u.dot(normal) / direction.dot(normal).min(-GRAZING);
+        (on, direction * on - u)
+    }
+
+    /// \[rad\] from the ridges that a ray sees of an untouched inside to those that it sees where its node is displaced, to first order.
+    pub(super) fn phases(&self, ray: usize, u: &Vector3<f64>) -> [f64; 2] {
+        let (_, beside) = self.further(ray, u);
+        self.nodes[ray].along.map(|along| beside.dot(&along))
+    }
+
+    /// \[rad\] from the ridges that a ray sees of an untouched inside to those of what it meets.
+    pub(super) fn other_phases(&self, ray: usize, met: &Met) -> [f64; 2] {
+        let rows_and_columns = met.corners.map(|corner| self.cells_from(ray, corner));
+        std::array::from_fn(|k| {
+            let cells: f64 = rows_and_columns.iter().zip(met.shares).map(|(by, share)| by[k] * share).sum();
+            self.ridges_change(ray, k) * cells
+        })
+    }
+
+    /// \[rad\] by which ridges change from a row or a column to the next, where a ray sees any.
+    pub(super) fn ridges_change(&self, ray: usize, k: usize) -> f64 {
+        if self.nodes[ray].along[k] == Vector3::zeros() { 0.0 } else { self.ridges[k] }
+    }
+
+    /// Rows and columns from one node to another.
+    pub(super) fn cells_from(&self, from: usize, to: usize) -> [f64; 2] {
+        let columns = self.grid.columns;
+        let around = (to % columns + columns + columns / 2 - from % columns) % columns;
+        [(to / columns) as f64 - (from / columns) as f64, around as f64 - (columns / 2) as f64]
     }
 
     fn slopes_of(&self, node: usize) -> Slopes {
         let mut slopes = [[0.0; COLOURS]; 3 * MOVING];
+        if self.nodes[node].met.corners[0] != node {
+            return slopes;
+        }
         let [a, b, c, d] = neighbours(&self.grid, node);
         let moving = [node, a, b, c, d];
         for (i, of) in moving.into_iter().enumerate() {
@@ -343,7 +434,7 @@ impl Shading {
                 let at = |by: f64| {
                     let mut u = Vector3::zeros();
                     u[axis] = by;
-                    self.colours(node, |node| if node == of { u } else { Vector3::zeros() })
+                    self.colours_beside(node, |node| if node == of { u } else { Vector3::zeros() })
                 };
                 let (more, less) = (at(SLIGHTLY), at(-SLIGHTLY));
                 slopes[3 * i + axis] =
@@ -354,45 +445,10 @@ impl Shading {
     }
 }
 
-impl Node {
-    /// \[m\] by which the ray meets the surface further on where the node is displaced.
-    fn further(&self, u: &Vector3<f64>) -> f64 {
-        u.dot(&self.normal) / self.ray.dot(&self.normal).min(-GRAZING)
-    }
-}
-
-/// \[m\] of a node.
-fn displacement(field: &Field, node: usize) -> Vector3<f64> {
-    let u = &field.values[3 * node..3 * node + 3];
-    Vector3::new(f64::from(u[0]), f64::from(u[1]), f64::from(u[2]))
-}
-
-/// Nodes above, below, left and right; at the tip, those around it.
-fn neighbours(grid: &Grid, node: usize) -> [usize; 4] {
-    let Grid { rows, columns, .. } = *grid;
-    let (row, column) = (node / columns, node % columns);
-    if row == 0 {
-        return [0, 1, 2, 3].map(|k| columns + (column + k * columns / 4) % columns);
-    }
-    let [left, right] = [columns - 1, 1].map(|by| row * columns + (column + by) % columns);
-    [node - columns, if row + 1 < rows { node + columns } else { node }, left, right]
-}
-
-/// The inward normal of the grid at a node whose points are at `place`; `like` where its neighbours are all in one line.
-fn normal_of(
-    grid: &Grid,
-    node: usize,
-    place: impl Fn(usize) -> Point3<f64>,
-    like: &Vector3<f64>,
-) -> Vector3<f64> {
-    let [first, second] = across(grid, node).map(|[one, other]| place(other) - place(one));
-    first.cross(&second).try_normalize(1e-15).map_or(*like, |n| if n.dot(like) < 0.0 { -n } else { n })
-}
-
-/// The neighbours of a node that are opposite each other, in pairs.
-fn across(grid: &Grid, node: usize) -> [[usize; 2]; 2] {
-    let [a, b, c, d] = neighbours(grid, node);
-    if node < grid.columns { [[c, a], [d, b]] } else { [[a, b], [c, d]] }
+/// The normal where a ray ends, before it is made a unit.
+pub(super) fn normal_at(met: &Met, displaced: &Displaced) -> Vector3<f64> {
+    let normal = |corner: &usize| displaced.corners.get(*corner).map_or_else(Vector3::zeros, |of| of.normal);
+    met.corners.iter().zip(met.shares).map(|(corner, share)| normal(corner) * share).sum()
 }
 
 #[cfg(test)]
@@ -407,51 +463,184 @@ mod tests {
         Field { values: (0..3 * grid.count()).map(|i| most * way(i)).collect(), rows: [0, grid.rows] }
     }
 
+    /// A Gaussian dent of 3 mm.
+    fn dent(shading: &Shading, middle: &Point3<f64>, by: &Vector3<f64>) -> Field {
+        let dent = |node: &Node| {
+            let share = (-(node.position - middle).norm_squared() / (2.0 * 0.003 * 0.003)).exp();
+            (by * share).map(|u| u as f32)
+        };
+        let values = shading.nodes.iter().flat_map(|node| <[f32; 3]>::from(dent(node))).collect();
+        Field { values, rows: [0, shading.grid.rows] }
+    }
+
+    /// Changes by ray.
+    fn seen(shading: &Shading, field: &Field) -> Vec<[f32; CHANGES]> {
+        seen_with(shading, field, &mut Displaced::default())
+    }
+
+    fn seen_with(shading: &Shading, field: &Field, displaced: &mut Displaced) -> Vec<[f32; CHANGES]> {
+        let mut changes = Changes::default();
+        shading.changes(field, displaced, &mut changes);
+        let Grid { columns, .. } = shading.grid;
+        (0..shading.nodes.len()).map(|i| changes.values[i / columns * (columns + 1) + i % columns]).collect()
+    }
+
+    /// The largest difference of colours, and the largest change.
+    fn apart(found: &[[f32; CHANGES]], exact: &[[f32; CHANGES]]) -> (f32, f32) {
+        let colours =
+            |of: &[[f32; CHANGES]]| of.iter().flat_map(|v| v[..COLOURS].to_vec()).collect::<Vec<_>>();
+        let (found, exact) = (colours(found), colours(exact));
+        let off = found.iter().zip(&exact).fold(0.0_f32, |most, (a, b)| most.max((a - b).abs()));
+        (off, exact.iter().fold(0.0, |most, v| most.max(v.abs())))
+    }
+
+    /// What rays meet, triangle by triangle, with none left out.
+    fn cast(shading: &Shading, field: &Field) -> Vec<Option<[f32; COLOURS]>> {
+        let Grid { rows, columns, .. } = shading.grid;
+        let turned: Vec<Turned> = (0..rows * columns).map(|node| shading.turned(field, node)).collect();
+        let mut triangles = Vec::new();
+        for (row, column) in (0..rows - 1).flat_map(|row| (0..columns).map(move |column| (row, column))) {
+            let beside = (column + 1) % columns;
+            let [above, below] = [row, row + 1].map(|row| row * columns);
+            triangles.push([above + column, below + column, below + beside]);
+            triangles.push([above + column, below + beside, above + beside]);
+        }
+        let meets = |ray: usize| {
+            let direction = &shading.rays.directions[ray];
+            let mut nearest: Option<(f64, Vector3<f64>)> = None;
+            for nodes in &triangles {
+                let [a, b, c] = nodes.map(|node| turned[node].corner.position);
+                // Shares of the corners are those of the way to the plane: a linear system.
+                let sides = Matrix3::from_columns(&[
+                    a - shading.rays.camera,
+                    b - shading.rays.camera,
+                    c - shading.rays.camera,
+                ]);
+                let Some(weights) = sides.lu().solve(direction) else { continue };
+                if weights.sum() <= 0.0 || weights.iter().any(|w| *w < -1e-7 * weights.sum()) {
+                    continue;
+                }
+                let depth = 1.0 / weights.sum();
+                if nearest.is_none_or(|(nearest, _)| depth < nearest) {
+                    let normal = (0..3).map(|k| turned[nodes[k]].normal * weights[k]).sum::<Vector3<f64>>();
+                    nearest = Some((depth, normal.normalize()));
+                }
+            }
+            nearest.map(|(depth, normal)| shading.colour(direction, depth, &normal))
+        };
+        (0..rows * columns).map(meets).collect()
+    }
+
+    /// What bulges towards the camera hides what is behind it, and is seen larger: against all triangles for each ray.
     #[test]
-    fn where_little_moves_colours_change_in_proportion_and_elsewhere_as_light_falls() {
-        // The second is as fine as that of the thumb that ships.
-        for (spacing, share) in [("grid = 0.004", 0.02), ("grid = 0.00125", 0.05)] {
-            colours_change_as_light_falls(&SMALL.replace("grid = 0.004", spacing), share);
+    fn rays_end_at_the_nearest_triangle() {
+        let model = ThumbModel::new(&skin(SMALL)).unwrap();
+        let shading = model.shading();
+        for (s, azimuth, depth) in
+            [(0.03, 2.0, 0.002), (0.028, 0.8, 0.006), (0.0, 0.0, 0.003), (0.05, 4.0, 0.004)]
+        {
+            let (middle, normal) = inside(&model.parameters().elastomer, s, azimuth);
+            let field = dent(shading, &middle, &(normal * depth + Vector3::new(2e-4, -1e-4, 3e-4)));
+            let mut displaced = Displaced::default();
+            let found = seen_with(shading, &field, &mut displaced);
+            let (mut changed, mut off_edge) = (0, 0);
+            for (ray, exact) in cast(shading, &field).into_iter().enumerate() {
+                let exact = exact.unwrap();
+                if displaced.edges.has(ray) {
+                    continue;
+                }
+                let off = |c: usize| (found[ray][c] + shading.seen[ray][c] - exact[c]).abs();
+                off_edge += usize::from((0..COLOURS).any(|c| off(c) > 1e-3));
+                changed += usize::from((0..COLOURS).any(|c| (exact[c] - shading.seen[ray][c]).abs() > 0.01));
+            }
+            // The rays through an edge that hides something may pass it on either side.
+            assert!(changed > 10 && off_edge < 2, "{changed} {off_edge}");
         }
     }
 
-    /// A rough inside that moves slightly changes as its slopes say, within a share of the largest change and a quarter of the noise that numbers
-    /// of the thumb have which ships.
-    fn colours_change_as_light_falls(text: &str, share: f32) {
+    /// What moves slightly changes as its slopes say, nearly as rays do: by half the noise of a block's mean at most, of which a node is a small part.
+    /// Slopes take the curvature from both sides of a node, and rays that of the side where they end.
+    #[test]
+    fn where_little_moves_colours_change_in_proportion() {
+        let ridges = "ridges = { pitch = 0.006, count = 12, height = 0.0008 }\nblocks";
+        // The second is as fine as that of the thumb that ships.
+        for (spacing, share) in [("grid = 0.004", 0.15), ("grid = 0.00125", 0.1)] {
+            let text = SMALL.replace("grid = 0.004", spacing).replacen("blocks", ridges, 1);
+            // Without the fovea's border, where rays graze an edge.
+            let even: Vec<&str> = text.lines().filter(|line| !line.starts_with("fovea")).collect();
+            colours_change_in_proportion(&even.join("\n"), share);
+        }
+    }
+
+    fn colours_change_in_proportion(text: &str, share: f32) {
         let model = ThumbModel::new(&skin(text)).unwrap();
-        let shading = model.shading();
-        let mut changes = Changes::default();
-        let mut most = |field: &Field| {
-            shading.changes(field, &mut changes);
-            let (mut off, mut change) = (0.0_f32, 0.0_f32);
-            for node in 0..shading.nodes.len() {
-                let exact = shading.colours(node, |node| displacement(field, node));
-                let (row, column) = (node / shading.grid.columns, node % shading.grid.columns);
-                let found = changes.values[row * (shading.grid.columns + 1) + column];
-                for c in 0..COLOURS {
-                    let exact = exact[c] - shading.seen[node][c];
-                    off = off.max((found[c] - exact).abs());
-                    change = change.max(exact.abs());
-                }
-            }
-            (off, change)
-        };
+        let shading = &mut model.shading().clone();
+        // Parts of rays are another matter.
+        shading.uneven.fill(false);
+        let mut by_rays = shading.clone();
+        by_rays.nodes.iter_mut().for_each(|node| node.slight = 0.0);
         let slight = || shading.nodes.iter().map(|node| node.slight);
-        let (off, change) = most(&rough(&shading.grid, slight().fold(f32::INFINITY, f32::min)));
-        assert!(off > 0.0 && off < share * change && off < 1e-4, "{off} of {change}");
-        let (off, change) = most(&rough(&shading.grid, 20.0 * slight().fold(0.0, f32::max)));
+        let field = rough(&shading.grid, slight().fold(f32::INFINITY, f32::min));
+        let (off, change) = apart(&seen(shading, &field), &seen(&by_rays, &field));
+        assert!(off > 0.0 && off < share * change && off < 1e-3, "{off} of {change}");
+        let field = rough(&shading.grid, 20.0 * slight().fold(0.0, f32::max));
+        let (off, change) = apart(&seen(shading, &field), &seen(&by_rays, &field));
         assert!(off == 0.0 && change > 0.0, "{off} of {change}");
-        // Dents as presses make them, at the tip, where meridians meet, beside it, and on the side.
+        // Dents as presses make them, at the tip, where meridians meet, beside it, where the tip's curvature ends, and on the side.
         for at in [0.0005, 0.001, 0.002, 0.004, 0.008, 0.03] {
             let (middle, normal) = inside(&model.parameters().elastomer, at, 0.7);
             for depth in [1e-5, 1e-4, 4e-4] {
-                let dent = |node: &Node| {
-                    let share = (-(node.position - middle).norm_squared() / (2.0 * 0.003 * 0.003)).exp();
-                    (normal * (depth * share)).map(|u| u as f32)
+                let field = dent(shading, &middle, &(normal * depth));
+                let (found, exact) = (seen(shading, &field), seen(&by_rays, &field));
+                let (off, change) = apart(&found, &exact);
+                assert!(
+                    off < 4e-4 && (depth < 5e-5 || off < 0.03 * change),
+                    "{at} {depth}: {off} of {change}"
+                );
+                let phases =
+                    |of: &[[f32; CHANGES]]| of.iter().flat_map(|v| v[COLOURS..].to_vec()).collect::<Vec<_>>();
+                for (found, exact) in phases(&found).into_iter().zip(phases(&exact)) {
+                    assert!((found - exact).abs() < 0.005, "{at} {depth}: {found} and {exact} of ridges");
+                }
+            }
+        }
+    }
+
+    /// Strong presses on the side, on the tip and on the fovea: what changes with a little more of each is what differences say. Edges that hide
+    /// something move, too, which the slopes leave out.
+    #[test]
+    fn slopes_are_those_of_the_displaced_inside() {
+        let model = ThumbModel::new(&skin(&SMALL.replace("grid = 0.004", "grid = 0.0015"))).unwrap();
+        let shading = model.shading();
+        for (s, azimuth, depth, share) in
+            [(0.03, 3.0, 0.001, 0.01), (0.002, 1.0, 0.001, 0.01), (0.028, 0.8, 0.003, 0.05)]
+        {
+            let (middle, normal) = inside(&model.parameters().elastomer, s, azimuth);
+            let field = dent(shading, &middle, &(normal * depth));
+            for more in [normal * depth, Vector3::new(3e-4, -2e-4, 4e-4)] {
+                let by = dent(shading, &(middle + Vector3::new(5e-4, 0.0, -5e-4)), &more);
+                let (mut displaced, mut linear) =
+                    (Displaced::default(), crate::optics::slopes::Linear::default());
+                let (mut changes, mut slopes) = (Changes::default(), Changes::default());
+                shading.changes(&field, &mut displaced, &mut changes);
+                shading.linearise(&displaced, &mut linear);
+                shading.slopes((&field, &displaced), &mut linear, &by, &mut slopes);
+                let at = |share: f32| {
+                    let values = field.values.iter().zip(&by.values).map(|(u, v)| u + share * v);
+                    seen(shading, &Field { values: values.collect(), rows: field.rows })
                 };
-                let values = shading.nodes.iter().flat_map(|node| <[f32; 3]>::from(dent(node))).collect();
-                let (off, change) = most(&Field { values, rows: [0, shading.grid.rows] });
-                assert!(off < 1e-5 && off < 0.02 * change, "{at} {depth}: {off} of {change}");
+                let (more, less) = (at(0.005), at(-0.005));
+                let columns = shading.grid.columns;
+                let (mut off, mut whole) = (0.0, 0.0);
+                for i in 0..shading.nodes.len() {
+                    let slope = slopes.values[i / columns * (columns + 1) + i % columns];
+                    for c in 0..COLOURS {
+                        let difference = (more[i][c] - less[i][c]) / 0.01;
+                        off += (slope[c] - difference).powi(2);
+                        whole += difference.powi(2);
+                    }
+                }
+                assert!(off < share * whole, "{s} {depth}: {off} of {whole}");
             }
         }
     }

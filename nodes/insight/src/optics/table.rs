@@ -10,7 +10,8 @@ use nalgebra::{Point3, Vector3};
 use super::lens::Camera;
 use super::light::{COLOURS, Light};
 use super::picture::Texture;
-use super::shading::{Ridges, Shading, inside};
+use super::ridges::Ridges;
+use super::shading::{Shading, inside};
 use crate::elastic::basis::Grid;
 use crate::elastic::mesh::Elastomer;
 
@@ -125,13 +126,18 @@ impl Table {
     }
 }
 
-/// Where rays from the camera meet the inside: (s, φ) of a place of the picture, found by Newton's method on the depth below the outside.
+/// (s, φ) of the inside that a place of the picture shows.
 #[must_use]
 pub fn meets(elastomer: &Elastomer, camera: &Camera, pixel: [f64; 2]) -> Option<[f64; 2]> {
-    let ray = camera.direction(pixel)?;
+    met_along(elastomer, &camera.position, &camera.direction(pixel)?)
+}
+
+/// (s, φ) where a ray from a point along a unit vector meets the inside, found by Newton's method on the depth below the outside.
+#[must_use]
+pub fn met_along(elastomer: &Elastomer, from: &Point3<f64>, ray: &Vector3<f64>) -> Option<[f64; 2]> {
     let mut way = 0.0;
     for step in 0..24 {
-        let p = camera.position + ray * way;
+        let p = from + ray * way;
         let (s, azimuth, depth) = elastomer.thumb.locate(&p);
         let left = depth - elastomer.thickness_at(s, azimuth);
         if left.abs() < 1e-9 {
@@ -142,7 +148,7 @@ pub fn meets(elastomer: &Elastomer, camera: &Camera, pixel: [f64; 2]) -> Option<
         let closing = if step < 4 { 1.0 } else { ray.dot(&outwards).max(0.1) };
         way += left / closing;
     }
-    let (s, azimuth, _) = elastomer.thumb.locate(&(camera.position + ray * way));
+    let (s, azimuth, _) = elastomer.thumb.locate(&(from + ray * way));
     // Rays that leave through the base see its rim.
     (way > 0.0).then(|| [s.min(elastomer.thumb.length()), azimuth])
 }
