@@ -32,6 +32,8 @@ const PICTURED: usize = 1000;
 /// Standard deviation of shear along each direction over the pressing force, before a frame is read: half of what presses (thesis, section
 /// 6.4.6) is then rarely exceeded, and slipping at a friction of 1 hardly ever.
 const SHEAR: f64 = 0.3;
+/// Widest tip that is tried where the one that the skin is built for does not fit, in diameters of that one.
+const WIDEST: f64 = 4.0;
 /// Share by which a device and its forward model differ where nobody measured it: gains, and what the medium remembers.
 const UNMEASURED: f64 = 0.02;
 
@@ -50,6 +52,7 @@ pub fn settings_without_bundle(skin: &SkinDescription, model: &dyn ForwardModel)
     if is_pictured(skin) {
         (settings.unknowns, settings.search) = (Unknowns::Full, Search::Near);
         settings.shear = Some(SHEAR);
+        settings.widest = Some(WIDEST * rated.diameter);
     }
     let unknowns = settings.unknowns.count();
     settings.contacts = (skin.channels().len() / (CHANNELS_EACH * unknowns)).clamp(1, MOST_CONTACTS);

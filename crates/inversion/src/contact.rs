@@ -39,6 +39,8 @@ pub struct ContactEstimate {
     pub normal: Vector3<f64>,
     /// \[N\] exerted on the skin.
     pub force: Vector3<f64>,
+    /// \[m\] of the tip that it is taken for.
+    pub diameter: f64,
     /// \[m²\] in the frame of the skin's link.
     pub position_covariance: Matrix3<f64>,
     /// \[N²\] in the frame of the skin's link.

@@ -65,7 +65,7 @@ impl Inverter {
                 }
             }
         };
-        Ok(self.solution(&best, &data))
+        Ok(self.solution(&self.with_best_tip(&data, best)?, &data))
     }
 
     /// What [`search_near`](Self::search_near) finds near the contacts that it is given, if that explains the readings; `None` where it has to
@@ -88,8 +88,10 @@ impl Inverter {
         };
         let room = self.most(&data).saturating_sub(minimum.contacts.len()).min(1);
         let further = self.peaks_left(&data, &minimum, room, self.settings().evidence);
-        let whole = further.is_empty() && self.fits_beneath(&data, &minimum)?;
-        Ok(whole.then(|| self.solution(&minimum, &data)))
+        if !further.is_empty() || !self.fits_beneath(&data, &minimum)? {
+            return Ok(None);
+        }
+        Ok(Some(self.solution(&self.with_best_tip(&data, minimum)?, &data)))
     }
 
     /// Least squares begun at the contacts of the frame `before`, then at `starts`, until one explains the readings.

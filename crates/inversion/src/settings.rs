@@ -24,6 +24,9 @@ pub struct Settings {
     pub unknowns: Unknowns,
     /// \[m\] of the tip that is taken to press.
     pub diameter: f64,
+    /// \[m\] of the widest tip that is tried where the readings beneath a contact do not fit; that of `diameter` alone where absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub widest: Option<f64>,
     /// End of that tip.
     #[serde(default, skip_serializing_if = "is_sphere")]
     pub tip: TipKind,
@@ -142,6 +145,7 @@ impl Settings {
             contacts: one(),
             unknowns: Unknowns::default(),
             diameter,
+            widest: None,
             tip: TipKind::Sphere,
             force_max,
             gains: Vec::new(),
@@ -159,19 +163,25 @@ impl Settings {
     /// The contact that is looked for, at a place \[m\] with a force \[N\].
     #[must_use]
     pub fn indentation(&self, position: Point3<f64>, force: Vector3<f64>) -> Indentation {
+        self.pressed_by(self.diameter, position, force)
+    }
+
+    /// The same of a tip of `diameter` \[m\].
+    #[must_use]
+    pub fn pressed_by(&self, diameter: f64, position: Point3<f64>, force: Vector3<f64>) -> Indentation {
         match (self.tip, force.try_normalize(0.0)) {
             (TipKind::FlatPunch, Some(pressing)) => {
-                let shape = TipShape::of_kind(self.tip, self.diameter);
+                let shape = TipShape::of_kind(self.tip, diameter);
                 Indentation { position, force, tip: Tip::standing(shape, &-pressing) }
             }
-            _ => Indentation::sphere(position, force, self.diameter),
+            _ => Indentation::sphere(position, force, diameter),
         }
     }
 
     /// The same of contacts that were found.
     #[must_use]
     pub fn indentations(&self, found: &[ContactEstimate]) -> Vec<Indentation> {
-        found.iter().map(|c| self.indentation(c.position, c.force)).collect()
+        found.iter().map(|c| self.pressed_by(c.diameter, c.position, c.force)).collect()
     }
 
     /// Whether contacts are searched among all pairs of locations.
@@ -224,6 +234,9 @@ impl Settings {
         }
         if let Some(shear) = self.shear.filter(|shear| !(shear.is_finite() && *shear > 0.0)) {
             return wrong("shear", shear.to_string(), "a positive number");
+        }
+        if let Some(widest) = self.widest.filter(|widest| !(widest.is_finite() && *widest >= self.diameter)) {
+            return wrong("widest", widest.to_string(), "`diameter` or more");
         }
         for (field, value) in [("model_error", self.model_error), ("distance", self.distance)] {
             if !(value.is_finite() && value >= 0.0) {

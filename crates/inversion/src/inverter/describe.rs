@@ -36,6 +36,7 @@ impl Inverter {
                     position,
                     normal,
                     force: contact.force,
+                    diameter: contact.diameter(),
                     position_covariance: location * inflation,
                     force_covariance: force * inflation,
                 }
@@ -111,6 +112,7 @@ impl Inverter {
             position,
             normal,
             force: -normal * pressing,
+            diameter: sharp.diameter,
             position_covariance: second / total - mean * mean.transpose(),
             force_covariance: normal * normal.transpose() * variance + shear,
         }

@@ -36,6 +36,11 @@ const PASSES: usize = 2;
 const WORTH: f64 = 4.0;
 /// \[m\] by which a contact is moved to see how its pattern changes.
 const MOVE: f64 = 1e-4;
+/// Factor from the diameter of a tip to the next that is tried. On the thumb, what a tip of one diameter leaves of the readings of one half as wide
+/// again is of the size of their noise.
+const WIDER: f64 = 1.4;
+/// What a tip of another diameter must explain more of the sum of squared deviations: three deviations of the noise.
+const TELLING: f64 = 9.0;
 /// Factor by which a start may press more or less than the contact does that it stands in for.
 const HARDER: f64 = 5.0;
 
@@ -54,6 +59,10 @@ impl Inverter {
             if self.fits_beneath(data, &best)? {
                 break;
             }
+            best = self.with_best_tip(data, best)?;
+            if self.fits_beneath(data, &best)? {
+                break;
+            }
             let polished = careful.minimise(best.contacts.clone())?;
             if keep(&mut best, polished) && self.fits_beneath(data, &best)? {
                 break;
@@ -66,6 +75,47 @@ impl Inverter {
             }
             if best.chi2 > before - WORTH {
                 break;
+            }
+        }
+        Ok(best)
+    }
+
+    /// This minimum of one contact, by the tip whose diameter explains the readings best: wider and narrower ones are tried for as long as they
+    /// explain more, and at last one between them. Itself where there is not one contact.
+    pub(crate) fn with_best_tip(&self, data: &[Datum], mut best: Minimum) -> Result<Minimum, InverterError> {
+        let s = self.settings();
+        let Some(widest) = s.widest.filter(|_| best.contacts.len() == 1) else { return Ok(best) };
+        let problem = self.problem(data);
+        let by_tip = |best: &Minimum, factor: f64| {
+            let Indentation { position, force, .. } = best.contacts[0];
+            let diameter = best.contacts[0].diameter() * factor;
+            let possible = (s.diameter * (1.0 - 1e-9)..=widest * (1.0 + 1e-9)).contains(&diameter);
+            possible.then(|| problem.minimise(vec![s.pressed_by(diameter, position, force)])).transpose()
+        };
+        // What tips beside the best one leave: the narrower, the wider.
+        let mut beside = [None; 2];
+        for (side, factor) in [(1, WIDER), (0, 1.0 / WIDER)] {
+            if beside[side].is_some() {
+                continue;
+            }
+            while let Some(tried) = by_tip(&best, factor)? {
+                if tried.chi2 > best.chi2 - TELLING {
+                    beside[side] = Some(tried.chi2);
+                    break;
+                }
+                beside = [None; 2];
+                beside[1 - side] = Some(best.chi2);
+                best = tried;
+            }
+        }
+        // A parabola through three points.
+        if let [Some(less), Some(more)] = beside {
+            let (slope, bend) = (0.5 * (more - less), more + less - 2.0 * best.chi2);
+            if bend > 0.0
+                && let Some(between) = by_tip(&best, WIDER.powf((-slope / bend).clamp(-0.5, 0.5)))?
+                && between.chi2 < best.chi2
+            {
+                best = between;
             }
         }
         Ok(best)
@@ -372,5 +422,40 @@ mod tests {
             assert!((a.position - minimum.contacts[0].position).norm() <= inverter.spacing * 1.001);
             assert!(starts[..i].iter().all(|b| (a.position - b.position).norm() >= APART * step));
         }
+    }
+
+    /// A pattern that is the wider, the wider the tip is. Where only one diameter is known, a tip of three times as much fits nowhere; where wider
+    /// ones are tried, the one next to it does, alone, is followed as such, and gives way again to the narrow one.
+    #[test]
+    fn a_tip_of_another_size_is_told_by_its_pattern() {
+        let at = |i: usize| (i as f64 - 24.5) * 1e-3;
+        let elements = (0..2500).map(|i| Point3::new(at(i % 50), at(i / 50), 0.0));
+        let spec = SurfaceSpec::Rectangle { size: [0.060, 0.060], spacing: 0.0015 };
+        let model = Arc::new(Analytic::new(Surface::from_spec(&spec), elements, 0.005, |c, element| {
+            let wide = 1.2e-3 + c.diameter() / 4.0;
+            -c.force.z * (-(element - c.position).norm_squared() / (2.0 * wide * wide)).exp()
+        }));
+        let fixed = near(&model);
+        let settings = Settings { widest: Some(0.016), ..fixed.settings().clone() };
+        let free = Inverter::new(Arc::clone(&model) as _, settings).unwrap();
+        let truth = |diameter: f64| press(0.0031, -0.0012, 1.0).with_diameter(diameter);
+        let frame = |diameter: f64, seed: u64| read(&model, &[truth(diameter)], &mut random(seed));
+        let wide = frame(0.0112, 1);
+        let explains =
+            |found: &crate::Solution| found.chi2 < crate::inverter::plausible(found.freedom) * (1.0 + ZERO);
+        assert!(!explains(&fixed.search_near(&wide, &[], &[]).unwrap()));
+        let found = free.search_near(&wide, &[], &[]).unwrap();
+        let [one] = found.contacts.as_slice() else { panic!("{found:?}") };
+        assert!((one.diameter / 0.0112 - 1.0).abs() < 0.03 && explains(&found), "{one:?}");
+        assert!(
+            (one.position - truth(0.0112).position).norm() < 1e-4 && (one.force.z + 1.0).abs() < 0.03,
+            "{one:?}"
+        );
+        let followed = free.follow_near(&frame(0.0112, 2), &found.contacts, &[]).unwrap().unwrap();
+        assert_eq!(followed.contacts[0].diameter, one.diameter);
+        let narrow = free.search_near(&frame(0.004, 3), &found.contacts, &[]).unwrap();
+        assert_eq!((narrow.contacts.len(), narrow.contacts[0].diameter), (1, 0.004), "{narrow:?}");
+        let refused = Settings { widest: Some(0.003), ..fixed.settings().clone() };
+        assert!(Inverter::new(model, refused).unwrap_err().to_string().contains("widest"));
     }
 }

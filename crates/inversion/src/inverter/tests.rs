@@ -287,6 +287,7 @@ fn locations_count_with_their_area() {
         position: Point3::origin(),
         normal: Vector3::z(),
         force: -Vector3::z(),
+        diameter: 0.004,
         position_covariance: nalgebra::Matrix3::identity(),
         force_covariance: nalgebra::Matrix3::identity(),
     };

@@ -43,6 +43,7 @@ pub(super) fn prepare(
             settings.force_max = unmeasured.force_max.max(settings.force_max);
             (settings.distance, settings.search) = (unmeasured.distance, unmeasured.search);
             (settings.force_prior, settings.shear) = (unmeasured.force_prior, unmeasured.shear);
+            settings.widest = unmeasured.widest;
         } else {
             settings.distance = options.distance;
             settings.search = options.search.into();
