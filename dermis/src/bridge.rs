@@ -44,6 +44,8 @@ pub async fn run(options: Options, backends: &Backends) -> Result<()> {
         Some(reach) => NetworkChoice { network: Some(reach), zenoh_config: None },
         None => network.clone(),
     };
+    // Before clients see it.
+    dermis_node::end_all_nodes_on_signal()?;
     let node_options = NodeOptions::new("dermis_bridge").network(ros);
     let node = Node::open(node_options, backends.open(options.backend)?.as_ref())?;
     let config = BridgeConfig {

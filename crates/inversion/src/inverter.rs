@@ -39,8 +39,8 @@ const PLAUSIBLE: f64 = 2.0;
 /// Share of readings' squares that one place explains from which on they show a contact, where each place has a pattern of its own: of five
 /// contacts alike each explains nearly a fifth, and of what changes all of the readings at once a place explains some hundredths.
 const CLEAR: f64 = 0.1;
-/// What a step gains at the least in a search near what is known: it leaves a thirtieth of the noise's own deviation.
-const NEAR_GAIN: f64 = 1e-3;
+/// What a step gains at the least in a search near what is known: it leaves a tenth of the noise's own deviation.
+const NEAR_GAIN: f64 = 1e-2;
 /// Spacings of the dictionary that a contact moves in one step, where that is more than [`STRIDE`].
 const STEP: f64 = 0.75;
 /// Locations of a dictionary at most, roughly.

@@ -39,6 +39,8 @@ pub async fn run(
     config: &Config,
     backend: &dyn Backend,
 ) -> Result<(), RunError> {
+    // Before the first message: a signal that nobody listens to ends the process without a last word.
+    dermis_node::end_all_nodes_on_signal()?;
     let running = SkinNode::start(sensor, config, backend)?;
     running.node().wait_for_shutdown().await?;
     running.stop();

@@ -53,6 +53,8 @@ pub use touch::{BodyTouch, LinkLoad};
 ///
 /// [`RunError`] says in one sentence why it does not start.
 pub async fn run(config: &Config, backend: &dyn Backend) -> Result<(), RunError> {
+    // Before the first message: a signal that nobody listens to ends the process without a last word.
+    dermis_node::end_all_nodes_on_signal()?;
     let running = FusionNode::start(config, backend)?;
     running.node().wait_for_shutdown().await?;
     Ok(())

@@ -41,6 +41,8 @@ const MOVE: f64 = 1e-4;
 const WIDER: f64 = 1.4;
 /// What a tip of another diameter must explain more of the sum of squared deviations: three deviations of the noise.
 const TELLING: f64 = 9.0;
+/// What a step gains at the least while tips are compared.
+const ROUGH_GAIN: f64 = 1.0;
 /// Factor by which a start may press more or less than the contact does that it stands in for.
 const HARDER: f64 = 5.0;
 
@@ -85,13 +87,14 @@ impl Inverter {
     pub(crate) fn with_best_tip(&self, data: &[Datum], mut best: Minimum) -> Result<Minimum, InverterError> {
         let s = self.settings();
         let Some(widest) = s.widest.filter(|_| best.contacts.len() == 1) else { return Ok(best) };
-        let problem = self.problem(data);
+        let rough = Problem { least_gain: ROUGH_GAIN, ..self.problem(data) };
         let by_tip = |best: &Minimum, factor: f64| {
             let Indentation { position, force, .. } = best.contacts[0];
             let diameter = best.contacts[0].diameter() * factor;
             let possible = (s.diameter * (1.0 - 1e-9)..=widest * (1.0 + 1e-9)).contains(&diameter);
-            possible.then(|| problem.minimise(vec![s.pressed_by(diameter, position, force)])).transpose()
+            possible.then(|| rough.minimise(vec![s.pressed_by(diameter, position, force)])).transpose()
         };
+        let given = best.contacts[0].diameter();
         // What tips beside the best one leave: the narrower, the wider.
         let mut beside = [None; 2];
         for (side, factor) in [(1, WIDER), (0, 1.0 / WIDER)] {
@@ -118,7 +121,10 @@ impl Inverter {
                 best = between;
             }
         }
-        Ok(best)
+        match best.contacts[0].diameter() == given {
+            true => Ok(best),
+            false => Ok(self.problem(data).minimise(best.contacts)?),
+        }
     }
 
     /// The contact beneath which the readings fit worst, of those that are not at the places `but`; `None` where all do.
