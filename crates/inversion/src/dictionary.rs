@@ -37,7 +37,7 @@ pub(crate) struct Dictionary {
     channels: usize,
     /// locations × levels × channels, gains included, in the unit of the skin.
     responses: Vec<f32>,
-    /// locations × channels: direction of the response at [`SHAPE`] in units of the noise.
+    /// locations × channels: direction of the response at [`SHAPE`], or at [`LIGHT`], in units of the noise.
     directions: Vec<f32>,
     /// What shear adds to the directions, where it is looked for and every place has a pattern of its own.
     shears: Option<Shears>,
@@ -53,7 +53,7 @@ struct Shears {
     /// locations × 2 × channels, in units of the noise: together with the direction of a straight press an orthonormal basis of the responses to all
     /// presses at a place.
     directions: Vec<f32>,
-    /// For every place the responses to a pressing force and to a shear along either tangent, each as large as that of [`SHAPE`], in this basis:
+    /// For every place the responses to a pressing force and to a shear along either tangent, each as large as that of the directions, in this basis:
     /// columns of an upper triangle.
     triangles: Vec<Matrix3<f64>>,
     /// Standard deviation of shear along each direction over the pressing force; any is as likely where absent.
@@ -114,6 +114,8 @@ const STEEPEST: f64 = 1.0;
 
 /// Level whose response stands for the others where only its shape matters.
 pub(crate) const SHAPE: usize = 1;
+/// The same where each place has a pattern of its own, which changes as forces grow: strong presses show all the same.
+const LIGHT: usize = 0;
 
 impl Dictionary {
     /// Locations about `spacing` \[m\] apart, out of the points of the model's surface; on its middle line along x where only
@@ -146,11 +148,12 @@ impl Dictionary {
             |signal: Vec<f64>| -> Vec<f64> { signal.iter().zip(model.noise()).map(|(v, n)| v / n).collect() };
         let leans = settings.search == Search::Near && settings.unknowns == Unknowns::Full && channels >= 3;
         let mut shears = leans.then(|| Shears::new(settings.shear));
+        let shape = if settings.search == Search::Near { LIGHT } else { SHAPE };
         for location in &locations {
             for (level, force) in forces.iter().enumerate() {
                 let out = signal(location, -location.normal * *force)?;
                 responses.extend(out.iter().map(|v| *v as f32));
-                if level == SHAPE {
+                if level == shape {
                     let straight = whitened(out);
                     let length = straight.iter().map(|v| v * v).sum::<f64>().sqrt();
                     directions
@@ -358,7 +361,8 @@ mod tests {
             untouched.subtract(&mut out);
             out.iter().map(|v| *v as f32).collect()
         };
-        let residuals = left([0.3, -0.2], 0.4);
+        // As light as those that the directions are of.
+        let residuals = left([0.3, -0.2], LEVELS[LIGHT] * settings.force_max);
         let whole = dot(&residuals, &residuals).sqrt();
         let of = |d: &Dictionary| d.explained(&residuals).nth(37).unwrap() / whole;
         assert!((of(&dictionary) - 1.0).abs() < 1e-5, "{}", of(&dictionary));

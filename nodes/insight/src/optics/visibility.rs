@@ -22,8 +22,8 @@ const DOWN: usize = 4;
 const ACROSS: usize = 2;
 /// Times as far apart as nodes are where neighbouring rays end, between which an edge comes to lie.
 const APART: [f64; 2] = [1.5, 2.5];
-/// Full scale by which a ray differs from the mean of its parts where nothing touches, from which it does not stand for them: at the border of
-/// the fovea, where the inside turns within a cell of the grid.
+/// Full scale by which a ray differs from the mean of its parts where nothing touches, from which it does not stand for them: 3 % of the rays of the
+/// thumb that ships do, as at the border of the fovea, where the inside turns within a cell of the grid.
 const UNEVEN: f32 = 0.03;
 /// \[m\] by which depths differ by rounding.
 const SAME: f64 = 1e-9;
