@@ -37,8 +37,10 @@ pub(crate) struct Dictionary {
     channels: usize,
     /// locations × levels × channels, gains included, in the unit of the skin.
     responses: Vec<f32>,
-    /// locations × channels: direction of the response at [`SHAPE`], or at [`LIGHT`], in units of the noise.
+    /// locations × channels: direction of the response at [`SHAPE`] in units of the noise.
     directions: Vec<f32>,
+    /// The same at [`LIGHT`], where each place has a pattern of its own; empty elsewhere.
+    light: Vec<f32>,
     /// What shear adds to the directions, where it is looked for and every place has a pattern of its own.
     shears: Option<Shears>,
     /// For every place the locations beside it.
@@ -114,7 +116,8 @@ const STEEPEST: f64 = 1.0;
 
 /// Level whose response stands for the others where only its shape matters.
 pub(crate) const SHAPE: usize = 1;
-/// The same where each place has a pattern of its own, which changes as forces grow: strong presses show all the same.
+/// Level at which presses are so light that they must stand out by their shape: where each place has a pattern of its own, that may change as forces
+/// grow, and strong presses show whatever they are compared with.
 const LIGHT: usize = 0;
 
 impl Dictionary {
@@ -136,6 +139,7 @@ impl Dictionary {
         let untouched = Untouched::of(model)?;
         let mut responses = Vec::with_capacity(locations.len() * forces.len() * channels);
         let mut directions = Vec::with_capacity(locations.len() * channels);
+        let mut light = Vec::new();
         let signal = |location: &Location, force: Vector3<f64>| -> Result<Vec<f64>, ModelError> {
             let mut out = vec![0.0; channels];
             let contacts = vec![settings.indentation(location.position, force)];
@@ -148,16 +152,19 @@ impl Dictionary {
             |signal: Vec<f64>| -> Vec<f64> { signal.iter().zip(model.noise()).map(|(v, n)| v / n).collect() };
         let leans = settings.search == Search::Near && settings.unknowns == Unknowns::Full && channels >= 3;
         let mut shears = leans.then(|| Shears::new(settings.shear));
-        let shape = if settings.search == Search::Near { LIGHT } else { SHAPE };
+        let unit = |whitened: &[f64]| -> Vec<f32> {
+            let length = whitened.iter().map(|v| v * v).sum::<f64>().sqrt();
+            whitened.iter().map(|v| if length > 0.0 { v / length } else { 0.0 } as f32).collect()
+        };
         for location in &locations {
             for (level, force) in forces.iter().enumerate() {
                 let out = signal(location, -location.normal * *force)?;
                 responses.extend(out.iter().map(|v| *v as f32));
-                if level == shape {
+                if level == LIGHT && settings.search == Search::Near {
+                    light.extend(unit(&whitened(out)));
+                } else if level == SHAPE {
                     let straight = whitened(out);
-                    let length = straight.iter().map(|v| v * v).sum::<f64>().sqrt();
-                    directions
-                        .extend(straight.iter().map(|v| if length > 0.0 { v / length } else { 0.0 } as f32));
+                    directions.extend(unit(&straight));
                     if let Some(shears) = &mut shears {
                         shears.add(location, (&straight, *force), |force| {
                             Ok(whitened(signal(location, force)?))
@@ -170,7 +177,7 @@ impl Dictionary {
         let mismatches =
             neighbours.iter().enumerate().map(|(i, all)| mismatch(&directions, channels, i, all));
         let mismatches = mismatches.collect();
-        Ok(Self { locations, forces, channels, responses, directions, shears, neighbours, mismatches })
+        Ok(Self { locations, forces, channels, responses, directions, light, shears, neighbours, mismatches })
     }
 
     /// Locations beside a place.
@@ -187,6 +194,12 @@ impl Dictionary {
     /// For every place the part of whitened residuals that lies along its response, 0 where it points the other way.
     pub fn project<'a>(&'a self, residuals: &'a [f32]) -> impl Iterator<Item = f32> + 'a {
         self.directions.chunks_exact(self.channels).map(move |direction| dot(direction, residuals).max(0.0))
+    }
+
+    /// The length of what the best place explains of whitened residuals, by a press of [`SHAPE`] or a light one.
+    pub fn clearest(&self, residuals: &[f32]) -> f32 {
+        let light = self.light.chunks_exact(self.channels).map(|direction| dot(direction, residuals));
+        self.project(residuals).chain(light).fold(0.0, f32::max)
     }
 
     /// For every place the length of what a press there explains of whitened residuals: a straight one, or one that leans where that explains more
@@ -361,8 +374,7 @@ mod tests {
             untouched.subtract(&mut out);
             out.iter().map(|v| *v as f32).collect()
         };
-        // As light as those that the directions are of.
-        let residuals = left([0.3, -0.2], LEVELS[LIGHT] * settings.force_max);
+        let residuals = left([0.3, -0.2], 0.4);
         let whole = dot(&residuals, &residuals).sqrt();
         let of = |d: &Dictionary| d.explained(&residuals).nth(37).unwrap() / whole;
         assert!((of(&dictionary) - 1.0).abs() < 1e-5, "{}", of(&dictionary));
@@ -374,6 +386,33 @@ mod tests {
         assert_eq!(straight.lean(37, &residuals), [0.0; 2]);
         let pulls: Vec<f32> = residuals.iter().map(|v| -v).collect();
         assert_eq!(dictionary.explained(&pulls).nth(37), Some(0.0));
+    }
+
+    /// A pattern that wanders off as it is pressed: light presses are those of the light pattern, where somebody keeps it.
+    #[test]
+    fn light_presses_are_compared_with_light_ones() {
+        let at = |i: usize| (i as f64 - 9.5) * 2e-3;
+        let elements = (0..400).map(|i| Point3::new(at(i % 20), at(i / 20), 0.0));
+        let spec = SurfaceSpec::Rectangle { size: [0.034, 0.034], spacing: 0.002 };
+        let model =
+            dermis_fixtures::Analytic::new(Surface::from_spec(&spec), elements, 0.01, |c, element| {
+                let off = element - c.position - Vector3::x() * (c.force.z * -0.02);
+                -c.force.z * (-off.norm_squared() / 8e-6).exp()
+            });
+        let settings = Settings { search: Search::Near, ..Settings::new(0.004, 2.0) };
+        let of = |settings: &Settings| {
+            Dictionary::new(&model, (None, None), 0.004, settings, &vec![1.0; 400]).unwrap()
+        };
+        let (near, greedy) = (of(&settings), of(&Settings::new(0.004, 2.0)));
+        // At the edge, from which the pattern of strong presses has left the elements.
+        let edge = near.locations.iter().max_by(|a, b| a.position.x.total_cmp(&b.position.x)).unwrap();
+        let contacts = vec![settings.indentation(edge.position, -edge.normal * 0.1)];
+        let mut out = vec![0.0; 400];
+        model.response(&Stimulus { contacts, ..Stimulus::default() }, &mut out).unwrap();
+        let residuals: Vec<f32> = out.iter().map(|v| *v as f32).collect();
+        let whole = dot(&residuals, &residuals).sqrt();
+        let [light, strong] = [&near, &greedy].map(|dictionary| dictionary.clearest(&residuals) / whole);
+        assert!(light > 0.999 && strong < 0.9, "{light} {strong}");
     }
 
     #[test]

@@ -192,7 +192,7 @@ impl Inverter {
         if whole < self.settings.evidence || freedom == 0 {
             return (0.0, whole / counted.max(1) as f64);
         }
-        let best = f64::from(self.dictionary.project(&left).fold(0.0f32, f32::max)).powi(2);
+        let best = f64::from(self.dictionary.clearest(&left)).powi(2);
         if self.settings.search == Search::Near && best > CLEAR * whole {
             return (best, 0.0);
         }
