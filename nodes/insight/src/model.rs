@@ -9,7 +9,7 @@
 //! Derivatives follow displacements through the displaced inside as the camera sees it ([`Shading::slopes`]).
 //!
 //! Cost: the first touch of a design computes its basis, one to two minutes for the thumb that ships, which is then kept on disk. After that,
-//! 0.7 ms a response.
+//! 0.3 to 0.8 ms a response, and 0.9 to 1.9 ms the derivatives by five unknowns, of a press of 0.05 to 1.5 N.
 
 mod state;
 #[cfg(test)]

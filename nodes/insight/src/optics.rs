@@ -3,6 +3,7 @@
 mod casting;
 mod clipping;
 pub mod displaced;
+mod grouped;
 pub mod lens;
 pub mod light;
 mod numbers;

@@ -36,8 +36,7 @@ const PASSES: usize = 2;
 const WORTH: f64 = 4.0;
 /// \[m\] by which a contact is moved to see how its pattern changes.
 const MOVE: f64 = 1e-4;
-/// Factor from the diameter of a tip to the next that is tried. On the thumb, what a tip of one diameter leaves of the readings of one half as wide
-/// again is of the size of their noise.
+/// Factor from the diameter of a tip to the next that is tried: five of them up to four times the first, and a parabola finds what lies between.
 const WIDER: f64 = 1.4;
 /// What a tip of another diameter must explain more of the sum of squared deviations: three deviations of the noise.
 const TELLING: f64 = 9.0;

@@ -7,9 +7,12 @@
 //!
 //! Assumption: triangles are plane.
 //!
-//! Cost: some 0.1 µs a triangle, and as much for the normal of each of its corners.
+//! Cost: a product of three vectors for each ray beside a triangle, of which there are some ten.
 
 use nalgebra::{Point3, Vector3};
+
+use super::grouped::grouped;
+use super::lens::equisolid;
 
 /// Rays to a bin in the mean.
 const EACH: f64 = 4.0;
@@ -69,10 +72,15 @@ impl<T> Sparse<T> {
     }
 }
 
-/// A place in the picture, whatever the camera's pixels: the equisolid projection of a direction.
-pub(super) fn in_picture(direction: &Vector3<f64>) -> [f64; 2] {
-    let scale = (2.0 / (1.0 + direction.z).max(1e-6)).sqrt();
-    [direction.x * scale, direction.y * scale]
+/// A place in the picture, whatever the camera's pixels and whichever way it looks.
+fn in_picture(direction: &Vector3<f64>) -> [f64; 2] {
+    // What is straight behind a lens along the axis is outside of its picture on every side.
+    equisolid(direction).unwrap_or([f64::MAX; 2])
+}
+
+/// From the camera to a point, as a unit vector; along z for the camera's own place.
+pub(super) fn towards(camera: &Point3<f64>, p: &Point3<f64>) -> Vector3<f64> {
+    (p - camera).try_normalize(1e-9).unwrap_or_else(Vector3::z)
 }
 
 /// A corner of a triangle.
@@ -118,15 +126,7 @@ impl Rays {
         let bins = [across, down].map(|extent| (extent / side) as usize + 1);
         let mut rays = Self { camera, directions, in_picture, corner: low, side, bins, ..Self::default() };
         let bin_of = |at: &[f64; 2]| rays.bin(at[1], 1) * bins[0] + rays.bin(at[0], 0);
-        let of: Vec<usize> = rays.in_picture.iter().map(bin_of).collect();
-        let mut starts = vec![0_u32; bins[0] * bins[1] + 1];
-        of.iter().for_each(|bin| starts[bin + 1] += 1);
-        for bin in 1..starts.len() {
-            starts[bin] += starts[bin - 1];
-        }
-        rays.sorted = (0..of.len() as u32).collect();
-        rays.sorted.sort_by_key(|ray| of[*ray as usize]);
-        rays.starts = starts;
+        (rays.starts, rays.sorted) = grouped(bins[0] * bins[1], rays.in_picture.iter().map(bin_of));
         rays
     }
 
@@ -137,7 +137,7 @@ impl Rays {
 
     /// Where a point is in the picture.
     pub fn place(&self, p: &Point3<f64>) -> [f64; 2] {
-        in_picture(&(p - self.camera).try_normalize(1e-12).unwrap_or_else(Vector3::z))
+        in_picture(&towards(&self.camera, p))
     }
 
     /// Calls with each ray that is wanted and meets a triangle, and what it meets.

@@ -7,6 +7,7 @@
 //! cut as it is in a picture. Assumptions: noise is small beside the scale. Cost: ten products for each cell that changes, six for each pixel
 //! of those with an end in reach, and fifty for each pixel that itself may come to one; 4 bytes a pixel.
 
+use super::grouped::grouped;
 use super::light::COLOURS;
 use super::observer::{Observer, PATTERNS};
 use super::picture::shares;
@@ -54,10 +55,9 @@ pub(crate) struct Switch {
 
 impl Clipping {
     pub(super) fn new(table: &Table, observer: &Observer) -> Self {
-        let mut starts = vec![0_u32; table.nodes + 1];
+        let (starts, pixels) = grouped(table.nodes, table.pixels.iter().map(|pixel| pixel.corner as usize));
         let mut reach = vec![ANYWHERE; table.nodes];
         for (i, pixel) in table.pixels.iter().enumerate() {
-            starts[pixel.corner as usize + 1] += 1;
             let of = &mut reach[pixel.corner as usize];
             of.factor = of.factor.max(table.factor(i).abs());
             for (steep, by) in of.steep.iter_mut().zip(table.moved(i)) {
@@ -70,16 +70,6 @@ impl Clipping {
                     of.over = of.over.min(base - 1.0);
                 }
             }
-        }
-        for node in 0..table.nodes {
-            starts[node + 1] += starts[node];
-        }
-        let mut next = starts.clone();
-        let mut pixels = vec![0; table.pixels.len()];
-        for (i, pixel) in table.pixels.iter().enumerate() {
-            let place = &mut next[pixel.corner as usize];
-            pixels[*place as usize] = i as u32;
-            *place += 1;
         }
         Self {
             block_rows: observer.blocks()[1] as usize,

@@ -102,6 +102,11 @@ pub(super) fn flat(
     }
 }
 
+/// Marks every node that moves or has a neighbour that does.
+pub(super) fn moving(grid: &Grid, field: &Field, out: &mut Vec<bool>) {
+    beside(grid, field, |node| field.values[3 * node..3 * node + 3] != [0.0; 3], out);
+}
+
 /// Marks every node for which `of` is true of itself or a neighbour; `of` is asked of the rows of a field only.
 pub(super) fn beside(grid: &Grid, field: &Field, of: impl Fn(usize) -> bool, out: &mut Vec<bool>) {
     out.clear();

@@ -45,12 +45,16 @@ impl Camera {
     #[must_use]
     pub fn project(&self, p: &Point3<f64>) -> Option<[f64; 2]> {
         let local = (self.orientation.inverse() * (p - self.position)).try_normalize(1e-12)?;
-        // 2 sin(θ/2) / sin θ = 1 / cos(θ/2), and cos²(θ/2) = (1 + cos θ) / 2.
-        let cos_half = ((1.0 + local.z) / 2.0).max(0.0).sqrt();
         let [cx, cy] = self.centre();
-        let scale = self.focal / cos_half;
-        (cos_half > 1e-6).then(|| [cx + scale * local.x, cy + scale * local.y])
+        equisolid(&local).map(|[x, y]| [cx + self.focal * x, cy + self.focal * y])
     }
+}
+
+/// Where a unit vector is in the picture of a lens that looks along z, in focal lengths; `None` straight behind it.
+pub(super) fn equisolid(direction: &Vector3<f64>) -> Option<[f64; 2]> {
+    // 2 sin(θ/2) / sin θ = 1 / cos(θ/2), and cos²(θ/2) = (1 + cos θ) / 2.
+    let cos_half = ((1.0 + direction.z) / 2.0).max(0.0).sqrt();
+    (cos_half > 1e-6).then(|| [direction.x / cos_half, direction.y / cos_half])
 }
 
 /// \[rad\] that a picture of so many pixels covers from edge to edge through its middle.

@@ -6,6 +6,7 @@
 
 use std::collections::HashMap;
 
+use super::grouped;
 use super::light::COLOURS;
 use super::observer::{Observer, PATTERNS};
 use super::picture::{self, Noise};
@@ -98,13 +99,7 @@ impl Numbers {
         }
         let mut found: Vec<_> = found.into_iter().collect();
         found.sort_unstable_by_key(|(key, _)| *key);
-        let mut starts = vec![0; nodes + 1];
-        for ((node, _), _) in &found {
-            starts[*node as usize + 1] += 1;
-        }
-        for node in 0..nodes {
-            starts[node + 1] += starts[node];
-        }
+        let starts = grouped::starts(nodes, found.iter().map(|((node, _), _)| *node as usize));
         Self {
             columns,
             rows,

@@ -4,13 +4,13 @@
 //! normal and d the ray's direction; the ray then meets what was at t d − u beside. The normal there changes by what corners turn, and by what the
 //! normals of the corners differ. How colours change with depth and with the normal is found by differences once for a displaced inside.
 //!
-//! Assumptions: what hides something hides it still. Cost: 1.2 µs a ray once, and a tenth of that for each way in which the inside moves on.
+//! Assumptions: what hides something hides it still. Cost: four lightings for each ray once, and some sums for each way in which the inside moves on.
 
 use dermis_model::tangents;
 use nalgebra::Vector3;
 
 use super::casting::{Met, Sparse};
-use super::displaced::{Displaced, Flat, Turned, across, beside, displacement};
+use super::displaced::{self, Displaced, Flat, Turned, across, displacement};
 use super::light::COLOURS;
 use super::shading::{CHANGES, Changes, Shading, normal_at, with_ridges};
 use super::visibility::PARTS;
@@ -138,8 +138,7 @@ impl Shading {
     ) {
         out.clear(&self.grid);
         let Linear { rays, moving, shifts } = linear;
-        let moves = |node: usize| by.values[3 * node..3 * node + 3] != [0.0; 3];
-        beside(&self.grid, by, moves, moving);
+        displaced::moving(&self.grid, by, moving);
         shifts.clear(self.grid.count());
         for of_node in rays.chunk_by(|a, b| a.node == b.node) {
             let (mut value, mut any) = ([0.0; CHANGES], false);
