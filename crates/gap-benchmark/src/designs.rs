@@ -4,6 +4,8 @@
 //! What such a reference device reads by design is the answer of its family's own model. What makes it differ is computed here, by
 //! laws of its own. So controls of these families show no error of a simulator, unless the design is meshed otherwise: a diagnosis
 //! has it easier with them than with layers and shells, which have a physics of their own.
+//!
+//! Shells are solved here, and the last of them are kept: most causes leave a shell as it is.
 
 use std::sync::{Arc, Mutex};
 
@@ -11,12 +13,13 @@ use dermis_model::ForwardModel;
 use dermis_skin::SkinDescription;
 
 use crate::cause::Causes;
+use crate::shell::{Influence, Solved};
 use crate::{BenchmarkError, Script, loads};
 
 /// A description → the family's forward model of it, or why there is none.
 pub type Make<'a> = &'a (dyn Fn(&SkinDescription) -> Result<Arc<dyn ForwardModel>, String> + Sync);
 
-/// Models that are kept: one by design, and a few with another number.
+/// Models and shells that are kept: one by design, and a few with another number.
 const KEPT: usize = 4;
 
 /// Where models of designs come from.
@@ -24,6 +27,13 @@ const KEPT: usize = 4;
 pub struct Designs<'a> {
     make: Option<Make<'a>>,
     kept: Arc<Mutex<Vec<Nominal>>>,
+    shells: Arc<Mutex<Vec<KeptShell>>>,
+}
+
+/// A shell that was solved.
+struct KeptShell {
+    shell: Solved,
+    influence: Arc<Influence>,
 }
 
 /// Readings under a script, which are kept for the causes that change readings only.
@@ -50,7 +60,7 @@ impl<'a> Designs<'a> {
     /// Of families that `make` knows.
     #[must_use]
     pub fn new(make: Make<'a>) -> Self {
-        Self { make: Some(make), kept: Arc::default() }
+        Self { make: Some(make), kept: Arc::default(), shells: Arc::default() }
     }
 
     /// The device of this design.
@@ -76,6 +86,23 @@ impl<'a> Designs<'a> {
             kept.insert(0, nominal.clone());
         }
         Ok(nominal)
+    }
+}
+
+impl Designs<'_> {
+    /// The influence of forces on the gauges of this shell; `None` where it cannot be solved.
+    pub(crate) fn solved(&self, shell: &Solved) -> Option<Arc<Influence>> {
+        if let Ok(kept) = self.shells.lock()
+            && let Some(before) = kept.iter().find(|kept| kept.shell == *shell)
+        {
+            return Some(Arc::clone(&before.influence));
+        }
+        let influence = Arc::new(shell.influence()?);
+        if let Ok(mut kept) = self.shells.lock() {
+            kept.truncate(KEPT - 1);
+            kept.insert(0, KeptShell { shell: shell.clone(), influence: Arc::clone(&influence) });
+        }
+        Some(influence)
     }
 }
 

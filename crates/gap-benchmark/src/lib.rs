@@ -45,7 +45,7 @@ use memory::add_noise;
 pub struct Numerics {
     /// \[m\] after which a layer repeats.
     pub period: f64,
-    /// Finite elements across a layer, or along the longer side of a shell.
+    /// Finite elements across a layer, or a fifth of the facets along a shell.
     pub elements: usize,
     /// Whether a tip is the exact sphere, or a paraboloid.
     pub sphere: bool,
@@ -154,7 +154,7 @@ pub fn reference_device(
 ) -> Result<Box<dyn ReferenceDevice>, BenchmarkError> {
     Ok(match Kind::of(skin)? {
         Kind::Layer => Box::new(layer::LayerDevice::new(skin, numerics, causes)?),
-        Kind::Shell => Box::new(shell::ShellDevice::new(skin, numerics, causes)?),
+        Kind::Shell => Box::new(shell::ShellDevice::new(skin, numerics, causes, designs)?),
         Kind::Fabric => Box::new(fabric::FabricDevice::new(skin, numerics, causes, designs)?),
         Kind::Camera => Box::new(camera::CameraDevice::new(skin, causes, designs)?),
     })

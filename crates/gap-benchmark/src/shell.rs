@@ -1,11 +1,12 @@
 //! Reference devices of strain gauges on the inner side of a thin curved wall with openings that is clamped at both ends.
 //!
-//! Flat rectangular facets ([`plate`]: Adini, Clough and Melosh's plate, Pian and Sumihara's membrane) and reciprocity ([`panel`]);
-//! a touch presses with a parabola over a round patch. Causes have laws of their own ([`causes`]).
+//! Flat rectangular facets that shear across their thickness ([`plate`]) and reciprocity ([`panel`]); a touch presses with a parabola
+//! over a round patch. Causes have laws of their own ([`causes`]).
 
 mod causes;
 mod panel;
 mod plate;
+mod relief;
 
 use std::sync::Arc;
 
@@ -16,9 +17,12 @@ use rand::Rng;
 
 use crate::cause::{Cause, CauseInfo, Causes};
 use crate::script::{Rig, Script};
-use crate::{BenchmarkError, Noise, Numerics, ReferenceDevice, Region, laws, memory};
-use panel::{Build, Gauge, Influence, Shape};
+use crate::{BenchmarkError, Designs, Noise, Numerics, ReferenceDevice, Region, laws, memory};
+use panel::{Build, Gauge, Shape};
 use plate::Material;
+use relief::{Relief, THIN, thin_at};
+
+pub(crate) use panel::Influence;
 
 /// What of the reference device does not change with time.
 #[derive(Debug)]
@@ -26,7 +30,7 @@ struct Panel {
     surface: Surface,
     noise: Vec<f64>,
     range: Vec<Option<[f64; 2]>>,
-    influence: Influence,
+    influence: Arc<Influence>,
     radius: f64,
     patch: f64,
     /// Power of the stiffening.
@@ -35,15 +39,23 @@ struct Panel {
     askew: [f64; 2],
 }
 
-/// \[m\] from the middle of a thin place within which most of it is.
-const THIN: f64 = 0.015;
-
-/// Where the wall is thin, along x and the arc \[m\].
-fn thin_at(shape: &Shape, cause: &Cause) -> [f64; 2] {
-    let mut rng = cause.rng();
-    [0.35 * shape.size[0], 0.35 * shape.size[1]].map(|half| rng.random_range(-half..half))
+/// A shell as it is solved.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Solved {
+    shape: Shape,
+    build: Build,
+    gauges: Vec<Gauge>,
 }
 
+impl Solved {
+    /// The influence of forces on its gauges; `None` where it cannot be solved.
+    pub fn influence(&self) -> Option<Influence> {
+        Influence::new(self.shape, &self.build, &self.gauges)
+    }
+}
+
+/// Facets along a shell for each element across a layer.
+const FACETS: f64 = 5.0;
 /// The reference device.
 #[derive(Debug)]
 pub(crate) struct ShellDevice {
@@ -91,6 +103,7 @@ impl ShellDevice {
         skin: &SkinDescription,
         numerics: &Numerics,
         causes: &[Cause],
+        designs: &Designs<'_>,
     ) -> Result<Self, BenchmarkError> {
         let causes = Causes::new(causes::CAUSES, causes)?;
         let shape = Shape::of(&skin.surface).ok_or_else(|| crate::unlike(skin))?;
@@ -101,22 +114,19 @@ impl ShellDevice {
             decades if decades > 0.0 => 1e11 * 10f64.powf(-decades),
             _ => 1e12,
         };
-        let relief = Relief::of(&causes, &shape);
-        let influence = Influence::new(
-            shape,
-            &Build {
-                material: Material {
-                    young: [young, young * (1.0 - causes.size("printed-direction"))],
-                    poisson: crate::number(skin, "poisson_ratio")? * (1.0 - causes.size("built-poisson")),
-                },
-                thickness: &|at: [f64; 2]| wall * relief.at(at),
-                wall,
-                clamp,
-                spacing: shape.size[0] * 0.4 / numerics.elements as f64,
+        let build = Build {
+            material: Material {
+                young: [young, young * (1.0 - causes.size("printed-direction"))],
+                poisson: crate::number(skin, "poisson_ratio")? * (1.0 - causes.size("built-poisson")),
             },
-            &gauges,
-        )
-        .ok_or_else(|| BenchmarkError::skin(skin, "surface", "makes a shell that cannot be solved"))?;
+            wall,
+            relief: Relief::of(&causes, &shape),
+            clamp,
+            spacing: shape.size[0] / (FACETS * numerics.elements as f64),
+        };
+        let influence = designs
+            .solved(&Solved { shape, build, gauges })
+            .ok_or_else(|| BenchmarkError::skin(skin, "surface", "makes a shell that cannot be solved"))?;
         let askew = causes.get("askew-tip").map_or([0.0; 2], |(cause, angle)| {
             let (sin, cos) = cause.rng().random_range(0.0..std::f64::consts::TAU).sin_cos();
             [angle.tan() * cos, angle.tan() * sin]
@@ -171,45 +181,6 @@ fn gauges(skin: &SkinDescription, causes: &Causes, shape: &Shape) -> Result<Vec<
         gauges.iter_mut().zip(cause.normals(count)).for_each(|(g, n)| g.angle += deviation * n);
     }
     Ok(gauges)
-}
-
-/// How the thickness of the wall varies over it, as a share of its nominal one.
-struct Relief {
-    /// Wave numbers \[1/m\] along x and the arc, phase and amplitude.
-    waves: Vec<[f64; 4]>,
-    /// Place \[m\] and loss of a broken beam.
-    broken: Option<([f64; 2], f64)>,
-}
-
-impl Relief {
-    fn of(causes: &Causes, shape: &Shape) -> Self {
-        let waves: Vec<[f64; 4]> = causes.get("uneven-wall").map_or_else(Vec::new, |(cause, deviation)| {
-            let mut rng = cause.rng();
-            let wave = |_| {
-                let turn = rng.random_range(0.0..std::f64::consts::TAU);
-                let number = std::f64::consts::TAU / rng.random_range(0.04..0.12);
-                [
-                    number * f64::cos(turn),
-                    number * f64::sin(turn),
-                    rng.random_range(0.0..6.3),
-                    deviation * 0.6,
-                ]
-            };
-            (0..6).map(wave).collect()
-        });
-        let broken = causes.get("broken-beam").map(|(cause, loss)| (thin_at(shape, cause), loss));
-        Self { waves, broken }
-    }
-
-    fn at(&self, at: [f64; 2]) -> f64 {
-        let wave = |w: &[f64; 4]| w[3] * (w[0] * at[0] + w[1] * at[1] + w[2]).cos();
-        let mut here = 1.0 + self.waves.iter().map(wave).sum::<f64>();
-        if let Some((place, loss)) = &self.broken {
-            let off = (at[0] - place[0]).hypot(at[1] - place[1]) / THIN;
-            here *= 1.0 - loss * (-off * off).exp();
-        }
-        here.clamp(0.15, 3.0)
-    }
 }
 
 impl Panel {
@@ -327,8 +298,9 @@ mod tests {
     #[test]
     fn every_cause_moves_the_readings() {
         let skin = shin();
-        let numerics = Numerics { elements: 20, ..Numerics::default() };
-        let device = |causes: &[Cause]| ShellDevice::new(&skin, &numerics, causes).unwrap();
+        let numerics = Numerics { elements: 10, ..Numerics::default() };
+        let designs = Designs::default();
+        let device = |causes: &[Cause]| ShellDevice::new(&skin, &numerics, causes, &designs).unwrap();
         let nominal = device(&[]);
         let rig = ShellDevice::rig(&skin, 0.1);
         let script = Script::draw(&nominal.model(), &rig, crate::Climate::Varied, 3).unwrap();

@@ -69,7 +69,7 @@ const GAPS: [Gap; 5] = [
         coarser: &[],
         sets: Sets::Full(["50502", "50512"]),
     },
-    Gap { name: "shin", skin: LIMB, coarser: &[], sets: Sets::Full(["50503", "50513"]) },
+    Gap { name: "shin", skin: LIMB, coarser: &[], sets: Sets::Full(["61603", "61613"]) },
     Gap { name: "panel", skin: "launch/skins/ert-panel.toml", coarser: &[], sets: Sets::Cells("50524", 0.5) },
     Gap {
         name: "thumb",
