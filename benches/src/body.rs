@@ -295,7 +295,7 @@ fn observe(
     let without = seen.iter().filter(|a| usize::from(a.contacts) != SKINS).count();
     let row = json!({
         "messages_per_s": seen.len() as f64 / SKINS as f64 / wall,
-        "not_all_felt": without as f64 / seen.len().max(1) as f64,
+        "not_all_detected": without as f64 / seen.len().max(1) as f64,
         "nodes_cores": nodes_cores,
         "fusion_cores": fusion_cores,
         "cores": nodes_cores + fusion_cores.unwrap_or(0.0),

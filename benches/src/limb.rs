@@ -201,8 +201,8 @@ pub fn summary(seen: &[Arrival], sent: &[i64], frames: u64, rate: f64, cores: f6
         "latency_two": latency(&|a| a.contacts == 2),
         "frames": frames,
         "sent_hz": rate,
-        "passed_over": frames.saturating_sub(seen.len() as u64) as f64 / frames.max(1) as f64,
-        "passed_over_in_a_row": gap,
+        "dropped": frames.saturating_sub(seen.len() as u64) as f64 / frames.max(1) as f64,
+        "dropped_in_a_row": gap,
         "cores": cores,
     })
 }
@@ -223,7 +223,7 @@ pub fn table(rows: &[Value], rate: f64) {
             number(&all["max_ms"], 1),
             number(&touched["p50_ms"], 3),
             number(&touched["p99_ms"], 3),
-            number(&json!(row["passed_over"].as_f64().map(|v| v * 100.0)), 2),
+            number(&json!(row["dropped"].as_f64().map(|v| v * 100.0)), 2),
             number(&row["cores"], 3),
         );
     }
@@ -248,7 +248,7 @@ mod tests {
         let sent: Vec<i64> = (0..20).map(|k| k * 1_000_000).collect();
         let seen = [arrival(10, 0), arrival(11, 2), arrival(15, 2), arrival(16, 1)];
         let found = summary(&seen, &sent, 8, 1000.0, 0.2);
-        assert_eq!((&found["passed_over"], &found["passed_over_in_a_row"]), (&json!(0.5), &json!(3)));
+        assert_eq!((&found["dropped"], &found["dropped_in_a_row"]), (&json!(0.5), &json!(3)));
         let median = found["latency"]["p50_ms"].as_f64();
         assert!(median.is_some_and(|ms| (ms - 0.4).abs() < 1e-9), "{median:?} ms");
         assert_eq!(found["latency_touched"]["answers"], json!(3));

@@ -33,8 +33,8 @@ pub fn run(options: &Options) -> Result<()> {
             known.join(", ")
         );
     };
-    let judge = dermis_mechanics::calculix::available();
-    if !judge {
+    let calculix = dermis_mechanics::calculix::available();
+    if !calculix {
         eprintln!("left out what CalculiX judges: {}", CalculixError::Missing);
     }
     // Hidden where stderr is not a terminal.
@@ -45,7 +45,7 @@ pub fn run(options: &Options) -> Result<()> {
     let cases = cases.map_err(anyhow::Error::msg)?;
     let failed: Vec<&str> = cases.iter().filter(|c| !c.pass).map(|c| c.id.as_str()).collect();
     let record =
-        json!({ "family": family.name(), "cases": cases, "failed": failed.len(), "calculix": judge });
+        json!({ "family": family.name(), "cases": cases, "failed": failed.len(), "calculix": calculix });
     output::print(options.json, &record, &dermis_report::validation::text(&cases))?;
     if !failed.is_empty() {
         bail!("{} of {} cases missed their reference: {}", failed.len(), cases.len(), failed.join("; "));

@@ -194,7 +194,7 @@ impl Conditioner {
         out.signal.clone_from(&out.reading);
         self.zero.subtract(&mut out.signal);
         let before = (self.touched, self.peak);
-        self.judge(&out.signal.values);
+        self.detect_touch(&out.signal.values);
         if self.health.disown(&mut out.reading, &out.signal.values, &self.condition) {
             for (value, flags) in out.signal.values.iter_mut().zip(&out.reading.flags) {
                 if flags.is_invalid() {
@@ -203,7 +203,7 @@ impl Conditioner {
             }
             out.signal.flags.clone_from(&out.reading.flags);
             (self.touched, self.peak) = before;
-            self.judge(&out.signal.values);
+            self.detect_touch(&out.signal.values);
         }
         if self.came_to_rest(&out.reading) {
             // What hysteresis left behind is where untouched is now.
@@ -212,7 +212,7 @@ impl Conditioner {
             self.contacted = false;
             out.signal.clone_from(&out.reading);
             self.zero.subtract(&mut out.signal);
-            self.judge(&out.signal.values);
+            self.detect_touch(&out.signal.values);
         }
         out.level = self.level;
         out.touched = self.touched;
@@ -234,7 +234,7 @@ impl Conditioner {
         seen
     }
 
-    fn judge(&mut self, signal: &[f32]) {
+    fn detect_touch(&mut self, signal: &[f32]) {
         let (mut sum, mut count, mut top) = (0.0, 0_u32, 0.0);
         self.strongest = None;
         for (i, (value, noise)) in signal.iter().zip(&self.noise).enumerate() {

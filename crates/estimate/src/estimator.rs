@@ -2,8 +2,8 @@
 
 mod background;
 mod finding;
-mod judgement;
 mod maps;
+mod quality;
 #[cfg(test)]
 mod tests;
 
@@ -364,7 +364,7 @@ impl SkinEstimator {
                 pipeline.features.reset();
             }
         }
-        let (quality, text) = self.judge();
+        let (quality, text) = self.evaluate();
         self.verdict = Verdict {
             quality,
             text,

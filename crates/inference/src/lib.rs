@@ -44,5 +44,5 @@ pub use manifest::{
 pub use model::{Model, ModelError, rehearse_embedded};
 pub use outputs::{Link, OutputConfig, OutputError, OutputSpec, Outputs, SigmaBin};
 pub use peaks::{MAP_DISPLACEMENT, MapContacts, PeakSection};
-pub use runtime::{Runtime, RuntimeError, RuntimeKind, RuntimeReport, Tried};
+pub use runtime::{RejectedPath, Runtime, RuntimeError, RuntimeKind, RuntimeReport};
 pub use runtime_config::{RuntimeChoice, RuntimeConfig};

@@ -23,7 +23,7 @@ pub enum RuntimeKind {
 
 /// A path that was inspected and gave no runtime.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct Tried {
+pub struct RejectedPath {
     /// A library, or a folder without one.
     pub path: PathBuf,
     /// Why it was skipped.
@@ -40,7 +40,7 @@ pub struct RuntimeReport {
     /// The native library; `None` for the embedded runtime.
     pub path: Option<PathBuf>,
     /// Paths that were inspected before, in order.
-    pub tried: Vec<Tried>,
+    pub tried: Vec<RejectedPath>,
 }
 
 impl fmt::Display for RuntimeReport {
@@ -65,7 +65,7 @@ pub enum RuntimeError {
     )]
     NoNativeLibrary {
         /// Paths that were inspected.
-        tried: Vec<Tried>,
+        tried: Vec<RejectedPath>,
     },
     /// This process already uses a runtime that the configuration rules out.
     #[error("this process already uses {active}, so it cannot switch to the {wanted} runtime; restart it")]
@@ -85,7 +85,7 @@ pub enum RuntimeError {
     },
 }
 
-fn list(tried: &[Tried]) -> String {
+fn list(tried: &[RejectedPath]) -> String {
     let all: Vec<String> = tried.iter().map(|t| format!("{}: {}", t.path.display(), t.reason)).collect();
     all.join("; ")
 }
@@ -148,7 +148,8 @@ impl Runtime {
         let mut native = None;
         if config.choice != RuntimeChoice::Embedded {
             for candidate in candidates(config, &|name| std::env::var_os(name)) {
-                match candidate.and_then(|path| Native::open(&path).map_err(|reason| Tried { path, reason }))
+                match candidate
+                    .and_then(|path| Native::open(&path).map_err(|reason| RejectedPath { path, reason }))
                 {
                     Ok(found) => {
                         native = Some(found);
@@ -256,9 +257,9 @@ fn supported(version: &str) -> Result<(), String> {
 fn candidates(
     config: &RuntimeConfig,
     variable: &dyn Fn(&str) -> Option<OsString>,
-) -> Vec<Result<PathBuf, Tried>> {
+) -> Vec<Result<PathBuf, RejectedPath>> {
     let set = |name| variable(name).filter(|value| !value.is_empty());
-    let mut found: Vec<Result<PathBuf, Tried>> = config.library.iter().cloned().map(Ok).collect();
+    let mut found: Vec<Result<PathBuf, RejectedPath>> = config.library.iter().cloned().map(Ok).collect();
     found.extend(set("ORT_DYLIB_PATH").map(|path| Ok(PathBuf::from(path))));
     let mut folders = Vec::new();
     if let Some(folder) = std::env::current_exe().ok().as_deref().and_then(Path::parent) {
@@ -275,7 +276,7 @@ fn candidates(
     for folder in folders {
         let mut libraries = entries(&folder, is_library_name);
         if libraries.is_empty() {
-            found.push(Err(Tried { path: folder, reason: "holds no ONNX Runtime library".into() }));
+            found.push(Err(RejectedPath { path: folder, reason: "holds no ONNX Runtime library".into() }));
         } else {
             // The newest of several versions sorts last in most cases, and any supported one will do.
             libraries.reverse();
@@ -362,7 +363,8 @@ mod tests {
 
     #[test]
     fn a_missing_native_library_says_where_it_was_sought() {
-        let tried = vec![Tried { path: "/usr/lib".into(), reason: "holds no ONNX Runtime library".into() }];
+        let tried =
+            vec![RejectedPath { path: "/usr/lib".into(), reason: "holds no ONNX Runtime library".into() }];
         insta::assert_snapshot!(RuntimeError::NoNativeLibrary { tried }, @"no usable ONNX Runtime library (at least 1.24): /usr/lib: holds no ONNX Runtime library; install one with `pip install onnxruntime` and point ORT_DYLIB_PATH at its libonnxruntime.so, or choose the embedded runtime");
     }
 }

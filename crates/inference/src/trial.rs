@@ -159,7 +159,7 @@ fn attempt_elsewhere(
         (status, listener.join().unwrap_or_default())
     });
     match status.map_err(|e| failed(e.to_string()))? {
-        Some(status) => judge(status, said.trim(), limits),
+        Some(status) => evaluate(status, said.trim(), limits),
         None => Err(failed(format!(
             "it took more than {} s to load and run, and was ended; export a smaller model, or raise `seconds` of \
              `model_limits`",
@@ -186,7 +186,7 @@ fn wait(child: &mut Child, most: Duration) -> std::io::Result<Option<ExitStatus>
     }
 }
 
-fn judge(status: ExitStatus, said: &str, limits: &Limits) -> Result<(), ModelError> {
+fn evaluate(status: ExitStatus, said: &str, limits: &Limits) -> Result<(), ModelError> {
     let reason = match status.code() {
         Some(0) => return Ok(()),
         Some(code) if code == i32::from(REFUSED) => said.to_owned(),

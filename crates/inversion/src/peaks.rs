@@ -103,19 +103,19 @@ impl PeakFinder {
         for from in 0..surface.points.len() {
             let mut reached = vec![from];
             distances[from] = 0.0;
-            heap.push(Way { length: 0.0, to: from });
-            while let Some(Way { length, to }) = heap.pop() {
-                if length > distances[to] {
+            heap.push(QueueEntry { distance: 0.0, point: from });
+            while let Some(QueueEntry { distance, point }) = heap.pop() {
+                if distance > distances[point] {
                     continue;
                 }
-                for (next, step) in &edges[to] {
-                    let (next, length) = (*next as usize, length + step);
-                    if length <= radius && length < distances[next] {
+                for (next, step) in &edges[point] {
+                    let (next, distance) = (*next as usize, distance + step);
+                    if distance <= radius && distance < distances[next] {
                         if distances[next].is_infinite() {
                             reached.push(next);
                         }
-                        distances[next] = length;
-                        heap.push(Way { length, to: next });
+                        distances[next] = distance;
+                        heap.push(QueueEntry { distance, point: next });
                     }
                 }
             }
@@ -189,31 +189,31 @@ pub fn suppress(forces: &[f64], settings: &PeakSettings) -> Vec<usize> {
     order
 }
 
-/// One way of Dijkstra's search; the shortest comes out of the heap first.
-struct Way {
-    length: f64,
-    to: usize,
+/// A point in the queue of Dijkstra's search; the nearest comes out of the heap first.
+struct QueueEntry {
+    distance: f64,
+    point: usize,
 }
 
-impl Ord for Way {
+impl Ord for QueueEntry {
     fn cmp(&self, other: &Self) -> Ordering {
-        other.length.total_cmp(&self.length).then(other.to.cmp(&self.to))
+        other.distance.total_cmp(&self.distance).then(other.point.cmp(&self.point))
     }
 }
 
-impl PartialOrd for Way {
+impl PartialOrd for QueueEntry {
     fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
         Some(self.cmp(other))
     }
 }
 
-impl PartialEq for Way {
+impl PartialEq for QueueEntry {
     fn eq(&self, other: &Self) -> bool {
         self.cmp(other) == Ordering::Equal
     }
 }
 
-impl Eq for Way {}
+impl Eq for QueueEntry {}
 
 #[cfg(test)]
 mod tests {

@@ -14,7 +14,7 @@ use crate::faults::Faults;
 use crate::log::LogLimits;
 use crate::substitute::PUT_IN;
 use loader::Loader;
-use scope::Around;
+use scope::LaunchContext;
 
 pub use container::NODE_SEPARATOR;
 pub use types::{Declared, Host, NodeRequest, Plan, Process, Ready, Refusal, Restart, SharedNode, Stop};
@@ -69,7 +69,7 @@ pub fn load(path: &Path, arguments: &[String], tmp: &Path, host: &dyn Host) -> R
         log_limits: LogLimits::default(),
         faults,
     };
-    let outer = Around { folder: loader.cwd.clone(), ..Around::default() };
+    let outer = LaunchContext { folder: loader.cwd.clone(), ..LaunchContext::default() };
     let declared = loader.file(path, given, &outer);
     let waits = loader.waits();
     loader.beside();

@@ -1,4 +1,4 @@
-//! CalculiX as a judge: finite elements of others, on the same questions.
+//! CalculiX as a reference: finite elements of others, on the same questions.
 //!
 //! CalculiX CrunchiX (`ccx`, <http://www.calculix.de>) is a solver that shares no code, no elements and no way of thinking
 //! with this crate. Where it is installed, [`layer_cases`], [`block_cases`], [`dome_cases`], [`shell_cases`] and
@@ -377,7 +377,7 @@ mod tests {
     use super::*;
     use crate::Case;
 
-    fn judge(cases: Result<Vec<Case>, CalculixError>) {
+    fn check(cases: Result<Vec<Case>, CalculixError>) {
         let cases = match cases {
             Err(CalculixError::Missing) => return println!("skipped: {}", CalculixError::Missing),
             cases => cases.unwrap(),
@@ -453,21 +453,21 @@ mod tests {
 
     #[test]
     fn layer_agrees() {
-        judge(layer_cases());
+        check(layer_cases());
     }
 
     #[test]
     fn dome_agrees() {
-        judge(dome_cases());
+        check(dome_cases());
     }
 
     #[test]
     fn block_agrees() {
-        judge(block_cases());
+        check(block_cases());
     }
 
     #[test]
     fn shell_agrees() {
-        judge(shell_cases());
+        check(shell_cases());
     }
 }

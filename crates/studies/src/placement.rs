@@ -16,8 +16,8 @@ use anyhow::{Result, bail};
 use clap::{Args, ValueEnum};
 use dermis_skin::{SkinDescription, Surface, Taxel};
 use dermis_theory::placement::{
-    BoundSettings, Feasibility, Field, GaussianField, GreedySettings, JudgeSettings, Judgement, Method,
-    Reduction, Sets, Verdict, by_bound, feasible, greedy_svr, judge, pca_qr, reduce,
+    BoundSettings, Evaluation, EvaluationSettings, Feasibility, Field, GaussianField, GreedySettings, Method,
+    Reduction, Sets, Verdict, by_bound, evaluate, feasible, greedy_svr, pca_qr, reduce,
 };
 use nalgebra::Point3;
 use serde::{Deserialize, Serialize, Serializer};
@@ -75,7 +75,7 @@ pub struct Request {
     /// Share of the variance of all candidates' readings that those of them may leave unexplained which greedy-svr tries.
     #[arg(long, default_value_t = Request::default().unexplained)]
     pub unexplained: f64,
-    /// Noises and divisions of the locations that the judgement is repeated with.
+    /// Noises and divisions of the locations that the evaluation is repeated with.
     #[arg(long, default_value_t = Request::default().repeats, value_parser = clap::value_parser!(u64).range(1..=10))]
     pub repeats: u64,
     /// Draws locations, noise and folds.
@@ -155,7 +155,7 @@ pub struct Choice {
     /// \[m\] mean distance of the elements from the rim of the skin laid flat.
     pub rim: f64,
     /// Errors at locations that no method saw.
-    pub judgement: Judgement,
+    pub evaluation: Evaluation,
 }
 
 /// How many candidates there are.
@@ -226,7 +226,7 @@ fn summary(findings: &Findings) -> serde_json::Value {
 
 /// How much faster ours is than greedy-svr, and its error over that of greedy-svr by number of elements and of failed ones.
 fn against(choices: &[Choice]) -> Option<serde_json::Value> {
-    let of = |method| choices.iter().find(|c| c.method == method).map(|c| &c.judgement);
+    let of = |method| choices.iter().find(|c| c.method == method).map(|c| &c.evaluation);
     let (ours, theirs) = (of(Method::Crlb)?, of(Method::GreedySvr)?);
     let by_count: Vec<f64> =
         ours.by_count.iter().zip(&theirs.by_count).map(|(a, b)| a.mean / b.mean).collect();
@@ -297,7 +297,7 @@ pub fn place(options: &Request, families: &Families, bar: &dyn Progress) -> Resu
         );
     }
     let taxels: Vec<Taxel> = kept.iter().map(|i| proposed[*i].clone()).collect();
-    let sites: Vec<Point3<f64>> = kept.iter().map(|i| feet[*i]).collect();
+    let candidate_locations: Vec<Point3<f64>> = kept.iter().map(|i| feet[*i]).collect();
     let locations = pressed(&surface, &Feasibility { neighbours: 0, ..rule }, options);
     let forces = forces(&skin, options, &locations, families)?;
     bar.begin("what candidates read");
@@ -331,7 +331,7 @@ pub fn place(options: &Request, families: &Families, bar: &dyn Progress) -> Resu
     let mut findings = Findings {
         request: options.clone(),
         feet: feet.into_iter().zip(verdicts).collect(),
-        candidate_locations: sites,
+        candidate_locations,
         counts,
         reduction,
         forces,
@@ -374,9 +374,9 @@ fn choose(
     methods.dedup();
     let budget = options.budget as usize;
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    let settings = JudgeSettings {
+    let settings = EvaluationSettings {
         seeds: (0..options.repeats).map(|r| options.seed.wrapping_mul(100).wrapping_add(r)).collect(),
-        ..JudgeSettings::default()
+        ..EvaluationSettings::default()
     };
     for method in methods {
         bar.begin(&format!("{}: searching", method.name()));
@@ -400,7 +400,7 @@ fn choose(
             return Ok(());
         }
         bar.begin(&format!("{}: judging", method.name()));
-        let Some(judgement) = judge(teach, ask, &sets, &settings, &watch)? else {
+        let Some(evaluation) = evaluate(teach, ask, &sets, &settings, &watch)? else {
             findings.interrupted = true;
             return Ok(());
         };
@@ -420,7 +420,7 @@ fn choose(
             rim: rim(&findings.skin, &findings.surface, &feet),
             sets,
             elements,
-            judgement,
+            evaluation,
         });
     }
     Ok(())

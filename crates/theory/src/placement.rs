@@ -10,26 +10,26 @@
 //! - [`by_bound`], ours, adds the element that reduces the expected error of a contact most: its Cramér–Rao bound, and how far off
 //!   a press is foretold from the others.
 //!
-//! [`judge`] evaluates the same estimator on all of them: how far off it is on presses that nobody saw, and once elements fail.
+//! [`evaluate`] trains the same estimator on all of them: how far off it is on presses that nobody saw, and once elements fail.
 
+mod evaluate;
 mod feasible;
 mod field;
 mod gaussian;
 mod greedy;
 mod information;
-mod judge;
 mod linear;
 #[cfg(test)]
 mod testing;
 
 use serde::{Deserialize, Serialize};
 
+pub use evaluate::{ByCount, ByFailures, Evaluation, EvaluationSettings, evaluate};
 pub use feasible::{Feasibility, Verdict, feasible};
 pub use field::{Field, Location};
 pub use gaussian::GaussianField;
 pub use greedy::{GreedySettings, greedy_svr};
 pub use information::{BoundSettings, by_bound, expected_error};
-pub use judge::{ByCount, ByFailures, JudgeSettings, Judgement, judge};
 pub use linear::{Reduction, pca_qr, reduce};
 
 /// How elements are chosen.

@@ -188,7 +188,7 @@ impl ElectrodeCheck {
     }
 
     /// What is wrong with each electrode.
-    fn judge(&mut self, v: &[f32]) -> Vec<Option<Fault>> {
+    fn evaluate(&mut self, v: &[f32]) -> Vec<Option<Fault>> {
         let n = self.electrodes();
         let mut faults = self.silent(v);
         let resistances = self.resistances(v, &faults);
@@ -265,7 +265,7 @@ impl FrameCheck for ElectrodeCheck {
         if frame.values.len() != n * n {
             return;
         }
-        let found = self.judge(&frame.values);
+        let found = self.evaluate(&frame.values);
         faults.extend(found.into_iter().enumerate().filter_map(|(e, fault)| Some(self.explain(e, fault?))));
     }
 

@@ -335,7 +335,7 @@ impl Intake {
 
     /// What the skin can feel at `now`.
     pub(crate) fn health(&self, now: Stamp, s: &Settings) -> Health {
-        let (status, text) = self.judge(now, s);
+        let (status, text) = self.evaluate(now, s);
         Health {
             status,
             text,
@@ -347,7 +347,7 @@ impl Intake {
         }
     }
 
-    fn judge(&self, now: Stamp, s: &Settings) -> (u8, String) {
+    fn evaluate(&self, now: Stamp, s: &Settings) -> (u8, String) {
         let Self { name, topic, .. } = self;
         let recent = |at: Stamp, span: f64| seconds(at, now) <= span;
         if self.doubled.is_some_and(|at| recent(at, REMEMBERED)) {

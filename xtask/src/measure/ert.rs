@@ -179,7 +179,7 @@ fn reduced(root: &Path, sizes: &Sizes) -> Result<Value> {
     let random = scaled(&plan(root, "random-train")?, "multi", None, sizes.share).1;
     Ok(json!({
         "share_of_the_plans": sizes.share,
-        "places_of_each_number": { "here": locations, "thesis": THESIS_LOCATIONS },
+        "locations_of_each_number": { "here": locations, "thesis": THESIS_LOCATIONS },
         "random_presses": { "here": random, "thesis": THESIS_RANDOM },
         "epochs": { "here": sizes.epochs, "thesis": THESIS_EPOCHS },
         "processor": sizes.processor,
@@ -409,7 +409,7 @@ mod tests {
         let text = toml::to_string(&three).unwrap();
         assert!(text.parse::<Table>().is_ok(), "{text}");
         let record = reduced(&root(), &sizes(0.1, 5, &[])).unwrap();
-        assert_eq!(record["places_of_each_number"], json!({ "here": 30, "thesis": 3000 }));
+        assert_eq!(record["locations_of_each_number"], json!({ "here": 30, "thesis": 3000 }));
         assert_eq!(record["random_presses"], json!({ "here": 800, "thesis": 200_000 }));
     }
 

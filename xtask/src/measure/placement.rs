@@ -1,7 +1,7 @@
 //! Placement of ten gauges on the limb by five methods.
 //!
 //! Problem: which method places gauges such that contacts are found with the least error, and how long does it search? Method: `dermis
-//! optimize-placement` on one split of the locations; one judge for all methods, on locations that none of them saw. Assumptions: the limb is
+//! optimize-placement` on one split of the locations; one evaluation for all methods, on locations that none of them saw. Assumptions: the limb is
 //! as designed. Cost: some minutes of CPU time, of which greedy support vectors take two.
 
 use std::path::Path;
@@ -13,7 +13,7 @@ use serde_json::{Map, Value, json};
 use super::{LIMB, evaluation};
 use crate::programs;
 
-/// Seed of the split and of everything random. It was drawn after the criterion and the judge were frozen.
+/// Seed of the split and of everything random. It was drawn after the criterion and the evaluation were frozen.
 const SEED: &str = "21";
 
 pub(super) fn placement(root: &Path) -> Result<Value> {
@@ -30,7 +30,12 @@ fn recorded(found: &Value) -> Result<Value> {
     for method in methods {
         let name = method["method"].as_str().context("a method has no name")?;
         let errors = |by: &str, key: &str| -> Vec<Value> {
-            method["judgement"][by].as_array().into_iter().flatten().map(|error| error[key].clone()).collect()
+            method["evaluation"][by]
+                .as_array()
+                .into_iter()
+                .flatten()
+                .map(|error| error[key].clone())
+                .collect()
         };
         let row = json!({
             "cpu_s": method["seconds"],
@@ -64,7 +69,7 @@ mod tests {
         let found = json!({
             "methods": [{
                 "method": "crlb", "seconds": 0.4, "rim": 0.02, "outwardness": 1.0,
-                "judgement": { "by_count": [error(3.0), error(2.0)], "by_failures": [error(2.0)] },
+                "evaluation": { "by_count": [error(3.0), error(2.0)], "by_failures": [error(2.0)] },
             }],
             "rim_of_candidates": 0.027,
             "crlb_against_greedy_svr": { "times_faster": 258.0, "error_by_count": [0.9] },

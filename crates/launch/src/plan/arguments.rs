@@ -5,7 +5,7 @@ use std::path::Path;
 
 use serde_json::{Map, Value};
 
-use super::scope::{Around, At, is_name};
+use super::scope::{At, LaunchContext, is_name};
 use super::types::Declared;
 use crate::error::LaunchError;
 use crate::faults::Faults;
@@ -21,7 +21,7 @@ pub(super) fn arguments(
     mut given: BTreeMap<String, String>,
     path: &Path,
     scope: &Scope,
-    around: &Around,
+    context: &LaunchContext,
     folder: &Path,
     faults: &mut Faults,
 ) -> Vec<Declared> {
@@ -66,7 +66,7 @@ pub(super) fn arguments(
         });
         let (value, base) = match (given.remove(name), argument.default) {
             // What is given is relative to where it is given.
-            (Some(value), _) => (value, &around.folder),
+            (Some(value), _) => (value, &context.folder),
             (None, Some(Text(default))) => {
                 let value = scope.text(&default).unwrap_or_else(|reason| {
                     faults.push(at.refuse(name, reason));
@@ -76,7 +76,7 @@ pub(super) fn arguments(
             }
             (None, None) => {
                 faults.push(at.refuse(name, format!("has no default; give it: `{name}:=VALUE`")));
-                (String::new(), &around.folder)
+                (String::new(), &context.folder)
             }
         };
         let value =

@@ -10,7 +10,7 @@ use std::collections::BTreeSet;
 
 use super::loader::{Loader, Named};
 use super::process::Command;
-use super::scope::{Around, At};
+use super::scope::{At, LaunchContext};
 use super::types::{Process, SharedNode};
 use crate::backoff::Backoff;
 use crate::file::Entry;
@@ -48,7 +48,7 @@ impl Loader<'_> {
         entry: &Entry,
         command: Option<&Command>,
         at: &At,
-        inner: &Around,
+        inner: &LaunchContext,
     ) -> Option<String> {
         let name = inner.container.clone()?;
         let command = command?;

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 
 use super::arguments::arguments;
-use super::scope::{Around, At, Network, is_name};
+use super::scope::{At, LaunchContext, Network, is_name};
 use super::types::{Declared, Host, Process};
 use crate::error::LaunchError;
 use crate::faults::Faults;
@@ -64,7 +64,7 @@ impl Loader<'_> {
         &mut self,
         path: &Path,
         given: BTreeMap<String, String>,
-        around: &Around,
+        context: &LaunchContext,
     ) -> Vec<Declared> {
         let read = self.tree(path).and_then(|tree| Ok((tree, self.enter(path)?)));
         let (mut tree, folder) = match read {
@@ -81,7 +81,7 @@ impl Loader<'_> {
                 .into();
         let room = Some(&self.room);
         let scope = Scope { values: values.clone(), room };
-        let declared = arguments(&tree, given, path, &scope, around, &folder, &mut self.faults);
+        let declared = arguments(&tree, given, path, &scope, context, &folder, &mut self.faults);
         values.extend(declared.iter().map(|a| (a.name.clone(), a.value.clone())));
         if let Value::Object(fields) = &mut tree {
             fields.remove("arguments");
@@ -98,7 +98,7 @@ impl Loader<'_> {
             if self.open.len() == 1 {
                 self.log_limits = file.log_limits.clone();
             }
-            let mut inner = around.inside(
+            let mut inner = context.inside(
                 &at,
                 file.namespace.as_ref(),
                 &file.environment,
@@ -145,7 +145,7 @@ impl Loader<'_> {
         Ok(absolute.parent().unwrap_or(Path::new("/")).to_owned())
     }
 
-    fn entries(&mut self, entries: Vec<Value>, at: &At, around: &Around) {
+    fn entries(&mut self, entries: Vec<Value>, at: &At, context: &LaunchContext) {
         if entries.is_empty() {
             self.faults.push(at.refuse("processes", "is empty; give at least one process"));
         }
@@ -156,7 +156,7 @@ impl Loader<'_> {
             }
             let prefix = if at.field.is_empty() { String::new() } else { format!("{}.", at.field) };
             let path = format!("{prefix}processes[{i}]");
-            self.entry(entry, &At { field: &path, file: at.file }, around);
+            self.entry(entry, &At { field: &path, file: at.file }, context);
         }
     }
 
@@ -164,7 +164,7 @@ impl Loader<'_> {
     pub(super) fn reach(
         &mut self,
         at: &At,
-        around: &mut Around,
+        context: &mut LaunchContext,
         network: Option<&Text>,
         file: Option<&Text>,
     ) {
@@ -178,21 +178,21 @@ impl Loader<'_> {
                 if let Err(reason) = self.host.network(reach) {
                     self.faults.push(at.refuse("network", reason));
                 }
-                around.network = Some(Network::Reach(reach.clone()));
+                context.network = Some(Network::Reach(reach.clone()));
             }
             (None, Some(Text(file))) => {
-                let path = around.folder.join(file);
+                let path = context.folder.join(file);
                 if !path.is_file() {
                     let reason = format!("{} is no file; check the path", path.display());
                     self.faults.push(at.refuse("zenoh_config", reason));
                 }
-                around.network = Some(Network::File(path));
+                context.network = Some(Network::File(path));
             }
         }
     }
 
     /// Applies the key `container`; the inner one wins, and an empty one is none.
-    pub(super) fn share(&mut self, at: &At, around: &mut Around, container: Option<&Text>) {
+    pub(super) fn share(&mut self, at: &At, context: &mut LaunchContext, container: Option<&Text>) {
         let Some(Text(name)) = container else { return };
         if !name.is_empty() && !is_name(name, true) {
             self.faults.push(at.refuse(
@@ -200,10 +200,10 @@ impl Loader<'_> {
                 format!("`{name}` is no name; it begins with a letter and goes on with letters, digits, `_`, `-` or `.`"),
             ));
         }
-        around.container = (!name.is_empty()).then(|| name.clone());
+        context.container = (!name.is_empty()).then(|| name.clone());
     }
 
-    fn entry(&mut self, value: Value, at: &At, around: &Around) {
+    fn entry(&mut self, value: Value, at: &At, context: &LaunchContext) {
         let outer = ["group", "include"].into_iter().find(|key| value.get(key).is_some());
         if let (Some(key), Value::Object(fields)) = (outer, &value) {
             for other in fields.keys().filter(|k| *k != key) {
@@ -212,23 +212,23 @@ impl Loader<'_> {
             }
         }
         match (outer, value) {
-            (Some("group"), mut value) => self.group(value["group"].take(), at, around),
-            (Some(_), mut value) => self.include(value["include"].take(), at, around),
+            (Some("group"), mut value) => self.group(value["group"].take(), at, context),
+            (Some(_), mut value) => self.include(value["include"].take(), at, context),
             (None, value) => match file::typed::<Entry>(value, at.file, at.field, &mut self.faults) {
-                (Some(entry), bad) => self.process(&entry, &bad, at, around),
+                (Some(entry), bad) => self.process(&entry, &bad, at, context),
                 (None, _) => self.complete = false,
             },
         }
     }
 
-    fn group(&mut self, group: Value, at: &At, around: &Around) {
+    fn group(&mut self, group: Value, at: &At, context: &LaunchContext) {
         let path = format!("{}.group", at.field);
         let at = At { field: &path, file: at.file };
         let (Some(group), _) = file::typed::<Group>(group, at.file, at.field, &mut self.faults) else {
             self.complete = false;
             return;
         };
-        let mut inner = around.inside(
+        let mut inner = context.inside(
             &at,
             group.namespace.as_ref(),
             &group.environment,
@@ -241,14 +241,14 @@ impl Loader<'_> {
         self.entries(group.processes, &at, &inner);
     }
 
-    fn include(&mut self, include: Value, at: &At, around: &Around) {
+    fn include(&mut self, include: Value, at: &At, context: &LaunchContext) {
         let path = format!("{}.include", at.field);
         let at = At { field: &path, file: at.file };
         let (Some(include), _) = file::typed::<Include>(include, at.file, at.field, &mut self.faults) else {
             self.complete = false;
             return;
         };
-        let mut inner = around.inside(
+        let mut inner = context.inside(
             &at,
             include.namespace.as_ref(),
             &include.environment,
@@ -258,7 +258,7 @@ impl Loader<'_> {
         );
         self.reach(&at, &mut inner, include.network.as_ref(), include.zenoh_config.as_ref());
         self.share(&at, &mut inner, include.container.as_ref());
-        let path = around.folder.join(&include.file.0);
+        let path = context.folder.join(&include.file.0);
         if !path.exists() {
             self.complete = false;
             self.faults.push(at.refuse("file", format!("{} is no file; check the path", path.display())));

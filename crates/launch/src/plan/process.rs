@@ -8,7 +8,7 @@ use regex::RegexBuilder;
 use serde_json::{Map, Value};
 
 use super::loader::{Loader, Named, PROCESSES};
-use super::scope::{Around, At, LEVELS, is_name, texts};
+use super::scope::{At, LEVELS, LaunchContext, is_name, texts};
 use super::types::{NodeRequest, Process, Ready, Refusal};
 use crate::backoff::bad_seconds;
 use crate::error::LaunchError;
@@ -28,9 +28,15 @@ pub(super) struct Command {
 
 impl Loader<'_> {
     /// A process; keys in `bad` are there, but not as they should be.
-    pub(super) fn process(&mut self, entry: &Entry, bad: &BTreeSet<String>, at: &At, around: &Around) {
+    pub(super) fn process(
+        &mut self,
+        entry: &Entry,
+        bad: &BTreeSet<String>,
+        at: &At,
+        context: &LaunchContext,
+    ) {
         let before = self.faults.count();
-        let mut inner = around.inside(
+        let mut inner = context.inside(
             at,
             entry.namespace.as_ref(),
             &entry.environment,
@@ -110,7 +116,7 @@ impl Loader<'_> {
     }
 
     /// Namespace and name of a process, if they can be used.
-    fn label(&mut self, entry: &Entry, at: &At, inner: &Around) -> Option<String> {
+    fn label(&mut self, entry: &Entry, at: &At, inner: &LaunchContext) -> Option<String> {
         let Some(Text(name)) = &entry.name else {
             self.faults.push(at.refuse("name", "is missing; logs and `after` call the process by it"));
             return None;
@@ -146,7 +152,7 @@ impl Loader<'_> {
         bad: &BTreeSet<String>,
         label: &str,
         at: &At,
-        inner: &Around,
+        inner: &LaunchContext,
     ) -> Option<Command> {
         let remap = texts(&entry.remap);
         for (i, rule) in remap.iter().enumerate().filter(|(_, rule)| !rule.contains(":=")) {
@@ -218,7 +224,7 @@ impl Loader<'_> {
         remap: &[String],
         label: &str,
         at: &At,
-        inner: &Around,
+        inner: &LaunchContext,
     ) -> Option<Command> {
         let request = NodeRequest {
             kind,
@@ -260,7 +266,7 @@ impl Loader<'_> {
 }
 
 /// The environment of a process: what the files set, and our own variables where they do not.
-fn environment(inner: &Around, own: bool) -> BTreeMap<String, String> {
+fn environment(inner: &LaunchContext, own: bool) -> BTreeMap<String, String> {
     let mut environment = inner.environment.clone();
     let mut preset = |name: &str, value: String| {
         environment.entry(name.to_owned()).or_insert(value);
@@ -306,18 +312,18 @@ fn readiness(ready: &file::Ready, at: &At, folder: &Path, faults: &mut Faults) -
 }
 
 /// The file of a program: a path with `/` relative to the launch file, or a name on PATH.
-fn find_program(program: &str, around: &Around) -> Result<PathBuf, String> {
+fn find_program(program: &str, context: &LaunchContext) -> Result<PathBuf, String> {
     let runs =
         |path: &Path| path.is_file() && nix::unistd::access(path, nix::unistd::AccessFlags::X_OK).is_ok();
     if program.contains('/') {
-        let path = around.folder.join(program);
+        let path = context.folder.join(program);
         return if runs(&path) {
             Ok(path)
         } else {
             Err(format!("{} is no program; check the path and its permissions", path.display()))
         };
     }
-    let search = around.environment.get("PATH").cloned().or_else(|| std::env::var("PATH").ok());
+    let search = context.environment.get("PATH").cloned().or_else(|| std::env::var("PATH").ok());
     std::env::split_paths(&search.unwrap_or_default())
         .map(|folder| folder.join(program))
         .find(|path| runs(path))
@@ -325,12 +331,17 @@ fn find_program(program: &str, around: &Around) -> Result<PathBuf, String> {
 }
 
 /// `--ros-args` with name, namespace, remappings, parameters and log level.
-fn ros_args(name: &str, around: &Around, remap: &[String], parameters: &Map<String, Value>) -> Vec<String> {
+fn ros_args(
+    name: &str,
+    context: &LaunchContext,
+    remap: &[String],
+    parameters: &Map<String, Value>,
+) -> Vec<String> {
     let mut all = vec!["--ros-args".to_owned()];
     let mut rule = |flag: &str, rule: String| all.extend([flag.to_owned(), rule]);
     rule("-r", format!("__node:={name}"));
-    if !around.namespace.is_empty() {
-        rule("-r", format!("__ns:={}", around.namespace));
+    if !context.namespace.is_empty() {
+        rule("-r", format!("__ns:={}", context.namespace));
     }
     for remapping in remap {
         rule("-r", remapping.clone());
@@ -340,7 +351,7 @@ fn ros_args(name: &str, around: &Around, remap: &[String], parameters: &Map<Stri
         rule("-p", format!("{name}:={value}"));
     }
     // ROS has neither `trace` nor `off`, and does not know our filters.
-    match around.log.as_deref() {
+    match context.log.as_deref() {
         Some("trace") => rule("--log-level", "debug".to_owned()),
         Some("off") => rule("--log-level", "fatal".to_owned()),
         Some(level) if LEVELS.contains(&level) => rule("--log-level", level.to_owned()),

@@ -12,7 +12,7 @@ pub(super) const LEVELS: [&str; 6] = ["off", "error", "warn", "info", "debug", "
 
 /// What groups and files set for the entries within them.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Around {
+pub(super) struct LaunchContext {
     /// Absolute, without a slash at the end.
     pub(super) namespace: String,
     pub(super) environment: BTreeMap<String, String>,
@@ -80,7 +80,7 @@ impl At<'_> {
     }
 }
 
-impl Around {
+impl LaunchContext {
     /// The scope within a file, group or process that sets these keys; the inner one wins.
     pub(super) fn inside(
         &self,

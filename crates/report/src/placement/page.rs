@@ -97,11 +97,11 @@ fn locations(body: &mut String, findings: &Findings) -> Result<()> {
         .choices
         .iter()
         .map(|choice| {
-            let sites: Vec<Point3<f64>> =
+            let locations: Vec<Point3<f64>> =
                 choice.sets.last().iter().map(|c| findings.candidate_locations[*c]).collect();
             let title = format!("{}, {}", choice.method.name(), seconds(choice.seconds));
             let ground = cells("", GROUND, &findings.surface.points);
-            map(findings, title, &[ground], &cells("", COLOURS[colour(choice.method)], &sites))
+            map(findings, title, &[ground], &cells("", COLOURS[colour(choice.method)], &locations))
         })
         .collect::<Result<Vec<_>>>()?;
     body.push_str("<h2>Elements</h2>\n");
@@ -126,16 +126,16 @@ fn with_interval(choice: &Choice, points: &[(f64, f64, f64)]) -> [Curve; 3] {
 fn errors(body: &mut String, findings: &Findings) -> Result<()> {
     let (mut count, mut bound, mut failures, mut untaught) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     for choice in &findings.choices {
-        let (judged, n) = (&choice.judgement, colour(choice.method));
+        let (evaluation, n) = (&choice.evaluation, colour(choice.method));
         let with = |at: usize, mean: f64, interval: f64| (at as f64, mean * 1e3, interval * 1e3);
-        let by: Vec<_> = judged.by_count.iter().map(|c| with(c.elements, c.mean, c.interval)).collect();
+        let by: Vec<_> = evaluation.by_count.iter().map(|c| with(c.elements, c.mean, c.interval)).collect();
         count.extend(with_interval(choice, &by));
         let least =
-            judged.by_count.iter().filter_map(|c| Some((c.elements as f64, c.bound? * 1e3))).collect();
+            evaluation.by_count.iter().filter_map(|c| Some((c.elements as f64, c.bound? * 1e3))).collect();
         bound.push(Curve::new(choice.method.name(), n, least));
-        let by: Vec<_> = judged.by_failures.iter().map(|f| with(f.failed, f.mean, f.interval)).collect();
+        let by: Vec<_> = evaluation.by_failures.iter().map(|f| with(f.failed, f.mean, f.interval)).collect();
         failures.extend(with_interval(choice, &by));
-        let by = judged.by_failures.iter().map(|f| (f.failed as f64, f.untaught * 1e3)).collect();
+        let by = evaluation.by_failures.iter().map(|f| (f.failed as f64, f.untaught * 1e3)).collect();
         untaught.push(Curve::new(choice.method.name(), n, by));
     }
     let axes = |title: &str, x: &str, log_y: bool| Axes {

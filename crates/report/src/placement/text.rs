@@ -48,11 +48,11 @@ pub fn text(findings: &Findings) -> String {
     for choice in &findings.choices {
         let _ = write!(out, "  {:<22}", choice.method.name());
         for k in &shown {
-            let found = choice.judgement.by_count.iter().find(|c| c.elements == *k);
+            let found = choice.evaluation.by_count.iter().find(|c| c.elements == *k);
             let cell = found.map_or("-".into(), |c| format!("{} ±{:.1}", mm(c.mean), c.interval * 1e3));
             let _ = write!(out, "{cell:>12}");
         }
-        let last = choice.judgement.by_count.last();
+        let last = choice.evaluation.by_count.last();
         let bound = last.and_then(|c| c.bound).map_or("-".into(), mm);
         let (time, rim) = (seconds(choice.seconds), mm(choice.rim));
         let _ = writeln!(out, "{bound:>10} {time:>10} {:>8.2} {rim:>7}", choice.outwardness);
@@ -60,7 +60,7 @@ pub fn text(findings: &Findings) -> String {
     let failed: Vec<usize> = findings
         .choices
         .first()
-        .map(|c| c.judgement.by_failures.iter().map(|f| f.failed).collect())
+        .map(|c| c.evaluation.by_failures.iter().map(|f| f.failed).collect())
         .unwrap_or_default();
     if failed.len() > 1 {
         let _ = write!(out, "\n  error [mm], failed    ");
@@ -70,7 +70,7 @@ pub fn text(findings: &Findings) -> String {
         let _ = writeln!(out);
         for choice in &findings.choices {
             let of = |taught: bool| -> String {
-                let by = choice.judgement.by_failures.iter();
+                let by = choice.evaluation.by_failures.iter();
                 by.map(|f| {
                     let cell = if taught {
                         format!("{} ±{:.1}", mm(f.mean), f.interval * 1e3)
@@ -142,7 +142,7 @@ mod tests {
     use dermis_regress::SvrSettings;
     use dermis_skin::SkinDescription;
     use dermis_studies::placement::{Counts, Request};
-    use dermis_theory::placement::{ByCount, ByFailures, Judgement, Method, Reduction, Sets, Verdict};
+    use dermis_theory::placement::{ByCount, ByFailures, Evaluation, Method, Reduction, Sets, Verdict};
 
     use super::*;
 
@@ -151,7 +151,7 @@ mod tests {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../launch/skins/baro-grid.toml");
         let skin = SkinDescription::load(path).unwrap();
         let surface = skin.surface();
-        let sites: Vec<_> = skin.taxels.iter().map(|t| surface.project(&t.point()).0).collect();
+        let candidate_locations: Vec<_> = skin.taxels.iter().map(|t| surface.project(&t.point()).0).collect();
         let count = |elements: usize, mean: f64, bound| ByCount {
             elements,
             errors: vec![mean],
@@ -176,7 +176,7 @@ mod tests {
             elements: order.iter().map(|i| skin.taxels[*i].clone()).collect(),
             outwardness: unit,
             rim: 0.004 * unit,
-            judgement: Judgement {
+            evaluation: Evaluation {
                 by_count: vec![count(1, 0.02 * unit, None), count(2, 0.004 * unit, Some(0.0003 * unit))],
                 by_failures: vec![failures(0, 0.004 * unit), failures(1, 0.02 * unit)],
             },
@@ -186,8 +186,12 @@ mod tests {
         choices[1].elements[1].axis = Some([1.0, 0.0, -0.0]);
         Findings {
             request: Request::default(),
-            feet: sites.iter().map(|p| (*p, Verdict::Feasible)).chain([(sites[0], Verdict::Edge)]).collect(),
-            candidate_locations: sites,
+            feet: candidate_locations
+                .iter()
+                .map(|p| (*p, Verdict::Feasible))
+                .chain([(candidate_locations[0], Verdict::Edge)])
+                .collect(),
+            candidate_locations,
             counts: Counts { all: 26, edge: 1, held: 0, feasible: 25, reduced: 3 },
             reduction: Reduction { chosen: vec![3, 12, 20], unexplained: vec![(1, 0.4), (3, 0.008)] },
             forces: vec![0.42],

@@ -63,7 +63,7 @@ pub fn summary(findings: &Findings) -> Value {
                 "bound": share_by_interval(line, |f| f.bound),
             },
             "super_resolution": line.factors,
-            "told_apart_by_isolines": findings.distinguishable,
+            "distinguished_by_isolines": findings.distinguishable,
         })
     });
     let surface = findings

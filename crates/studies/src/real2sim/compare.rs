@@ -20,11 +20,11 @@ use super::nominal;
 use super::train::parts;
 use crate::{Families, LeftOut, Progress};
 
-mod judge;
+mod evaluator;
 mod methods;
 
-pub use judge::{Errors, Row};
-pub(super) use judge::{Judge, Targets};
+pub use evaluator::{Errors, Row};
+pub(super) use evaluator::{MethodEvaluator, Targets};
 use methods::prepare;
 
 /// What to compare on what.
@@ -175,7 +175,7 @@ impl Serialize for Findings {
         let frames: BTreeMap<&str, usize> = self.frames.iter().map(|(k, n)| (k.name(), *n)).collect();
         json!({
             "skin": self.skin.name, "skin_hash": self.skin.hash(), "least_n": self.request.least,
-            "bins_n": self.request.bins, "rigid_places": self.request.rigid,
+            "bins_n": self.request.bins, "rigid_locations": self.request.rigid,
             "share_that_gives_way": self.gives_way,
             "learned": { "data_hash": self.learned.0, "notes": self.learned.1 },
             "tested": { "data_hash": self.tested, "frames": frames },
@@ -207,7 +207,8 @@ pub fn compare(options: &Request, families: &Families, progress: &dyn Progress) 
     let prepared = prepare(options, &skin, &model, &compliance, &learned, (&learn, &choose), progress)?;
     let compared: Vec<SampleId> = targets.compared().copied().collect();
     let bounds = frame_bounds(model.as_ref(), &data, Some(&compared), Unknowns::Normal)?;
-    let judge = Judge { data: &data, bounds: &bounds, bins: &options.bins, kept: targets.kept.as_ref() };
+    let evaluator =
+        MethodEvaluator { data: &data, bounds: &bounds, bins: &options.bins, kept: targets.kept.as_ref() };
     let mut rows = Vec::new();
     let mut shown: Option<ShownFrame> = None;
     for (name, mut method) in prepared.methods {
@@ -216,7 +217,7 @@ pub fn compare(options: &Request, families: &Families, progress: &dyn Progress) 
             if ids.is_empty() || (method.single() && *kind != Kind::Single) {
                 continue;
             }
-            rows.push(judge.row(&name, method.as_mut(), (*kind, ids), progress)?);
+            rows.push(evaluator.row(&name, method.as_mut(), (*kind, ids), progress)?);
         }
     }
     // A frame to look at: the first bundle's map of two contacts far apart.
@@ -253,7 +254,6 @@ pub struct TargetFigure {
     /// Which figure.
     pub what: &'static str,
     /// What it should be.
-    #[serde(rename = "asked")]
     pub target: String,
     /// Method that comes nearest.
     pub method: String,

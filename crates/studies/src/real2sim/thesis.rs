@@ -40,7 +40,7 @@ use dermis_model::{ForwardModel, Unknowns};
 use dermis_skin::SkinDescription;
 use serde::{Deserialize, Serialize};
 
-use super::compare::{self, Judge, Kind, Row, Targets};
+use super::compare::{self, Kind, MethodEvaluator, Row, Targets};
 use super::train::parts;
 use super::{nominal, sensors, watched};
 use crate::{Families, LeftOut, Progress};
@@ -233,13 +233,14 @@ pub fn measure(options: &Request, families: &Families, progress: &dyn Progress) 
     let [strongest, of_true_maps] = strongest::of(&pipeline, known.model.surface(), &frames, runtime)?;
     let compared: Vec<_> = targets.compared().copied().collect();
     let bounds = frame_bounds(known.model.as_ref(), &data, Some(&compared), Unknowns::Normal)?;
-    let judge = Judge { data: &data, bounds: &bounds, bins: &options.bins, kept: targets.kept.as_ref() };
+    let evaluator =
+        MethodEvaluator { data: &data, bounds: &bounds, bins: &options.bins, kept: targets.kept.as_ref() };
     let mut rows = Vec::new();
     for (name, mut method) in methods::all(&known, &pipeline, options.vectors, runtime, progress)? {
         progress.begin(&name);
         for (kind, ids) in &targets.all {
             if !(ids.is_empty() || (method.single() && *kind != Kind::Single)) {
-                rows.push(judge.row(&name, method.as_mut(), (*kind, ids), progress)?);
+                rows.push(evaluator.row(&name, method.as_mut(), (*kind, ids), progress)?);
             }
         }
     }

@@ -22,8 +22,8 @@ const NUGGET: f64 = 1e-2;
 pub struct GaussianField {
     /// Between all locations, with the nugget on the diagonal.
     covariance: Mat<f64>,
-    /// Place of each candidate; of several at one place the nearest.
-    sites: Vec<(usize, usize)>,
+    /// Location of each candidate; of several at one location the nearest.
+    candidate_locations: Vec<(usize, usize)>,
     points: Vec<Point3<f64>>,
     /// \[m\] between all locations.
     ways: Vec<Vec<f64>>,
@@ -81,16 +81,19 @@ impl GaussianField {
         let mut nearest: Vec<Option<(f64, usize)>> = vec![None; n];
         for (index, candidate) in candidates.iter().enumerate() {
             let off = |p: &usize| (surface.points[locations[*p]] - candidate).norm();
-            let Some(site) = (0..n).min_by(|a, b| off(a).total_cmp(&off(b))) else { continue };
-            let far = off(&site);
-            if nearest[site].is_none_or(|(known, _)| far < known) {
-                nearest[site] = Some((far, index));
+            let Some(location) = (0..n).min_by(|a, b| off(a).total_cmp(&off(b))) else { continue };
+            let far = off(&location);
+            if nearest[location].is_none_or(|(known, _)| far < known) {
+                nearest[location] = Some((far, index));
             }
         }
-        let sites =
-            nearest.iter().enumerate().filter_map(|(site, c)| c.map(|(_, index)| (site, index))).collect();
+        let candidate_locations = nearest
+            .iter()
+            .enumerate()
+            .filter_map(|(location, c)| c.map(|(_, index)| (location, index)))
+            .collect();
         let points = locations.iter().map(|p| surface.points[*p]).collect();
-        Ok(Some(Self { covariance, sites, points, ways, length, nugget }))
+        Ok(Some(Self { covariance, candidate_locations, points, ways, length, nugget }))
     }
 
     /// What is left of the covariance between all locations and the candidates' once elements are chosen.
@@ -98,28 +101,28 @@ impl GaussianField {
         ((0..self.covariance.nrows()).map(|i| self.covariance[(i, i)]).collect(), Vec::new())
     }
 
-    /// Adds an element at `site` to the factor and takes what it tells from the variances.
-    fn observe(&self, site: usize, variances: &mut [f64], factor: &mut Vec<Vec<f64>>) {
-        let root = variances[site].max(f64::MIN_POSITIVE).sqrt();
+    /// Adds an element at `location` to the factor and takes what it tells from the variances.
+    fn observe(&self, location: usize, variances: &mut [f64], factor: &mut Vec<Vec<f64>>) {
+        let root = variances[location].max(f64::MIN_POSITIVE).sqrt();
         let row: Vec<f64> = (0..variances.len())
             .map(|j| {
-                let known: f64 = factor.iter().map(|r| r[site] * r[j]).sum();
+                let known: f64 = factor.iter().map(|r| r[location] * r[j]).sum();
                 // What is measured on top of the process says nothing of other locations.
-                (self.covariance[(site, j)] - known) / root
+                (self.covariance[(location, j)] - known) / root
             })
             .collect();
         variances.iter_mut().zip(&row).for_each(|(v, r)| *v = (*v - r * r).max(1e-12));
         factor.push(row);
     }
 
-    /// Mean covariance of a place with all: how much the others say of it.
-    fn said_of(&self, site: usize) -> f64 {
-        (0..self.covariance.nrows()).map(|j| self.covariance[(site, j)]).sum()
+    /// Mean covariance of a location with all: how much the others say of it.
+    fn said_of(&self, location: usize) -> f64 {
+        (0..self.covariance.nrows()).map(|j| self.covariance[(location, j)]).sum()
     }
 
-    /// The site that scores most; of equal ones that which the others say least of.
+    /// The location that scores most; of equal ones that which the others say least of.
     fn best(&self, taken: &[usize], score: impl Fn(usize) -> f64) -> Option<(usize, usize)> {
-        let open = self.sites.iter().filter(|(site, _)| !taken.contains(site));
+        let open = self.candidate_locations.iter().filter(|(location, _)| !taken.contains(location));
         let scored: Vec<(f64, (usize, usize))> = open.map(|s| (score(s.0), *s)).collect();
         let most = scored.iter().map(|(v, _)| *v).fold(f64::NEG_INFINITY, f64::max);
         let tied = scored.into_iter().filter(|(v, _)| *v >= most - 1e-9 * most.abs());
@@ -132,9 +135,9 @@ impl GaussianField {
         let (mut variances, mut factor) = self.start();
         let (mut taken, mut order) = (Vec::new(), Vec::new());
         while order.len() < budget {
-            let Some((site, index)) = self.best(&taken, |s| variances[s]) else { break };
-            self.observe(site, &mut variances, &mut factor);
-            taken.push(site);
+            let Some((location, index)) = self.best(&taken, |s| variances[s]) else { break };
+            self.observe(location, &mut variances, &mut factor);
+            taken.push(location);
             order.push(index);
         }
         Sets::nested(&order)
@@ -156,18 +159,20 @@ impl GaussianField {
         let (mut variances, mut factor) = self.start();
         let (mut taken, mut order) = (Vec::new(), Vec::new());
         while order.len() < budget {
-            let Some((site, index)) = self.best(&taken, |s| variances[s] * precision[(s, s)]) else { break };
-            self.observe(site, &mut variances, &mut factor);
+            let Some((location, index)) = self.best(&taken, |s| variances[s] * precision[(s, s)]) else {
+                break;
+            };
+            self.observe(location, &mut variances, &mut factor);
             let n = precision.nrows();
-            let column: Vec<f64> = (0..n).map(|i| precision[(i, site)]).collect();
-            let pivot = column[site];
+            let column: Vec<f64> = (0..n).map(|i| precision[(i, location)]).collect();
+            let pivot = column[location];
             for j in 0..n {
                 let by = column[j] / pivot;
                 for i in 0..n {
                     precision[(i, j)] -= column[i] * by;
                 }
             }
-            taken.push(site);
+            taken.push(location);
             order.push(index);
         }
         Ok(Sets::nested(&order))
@@ -177,8 +182,9 @@ impl GaussianField {
     /// lie towards the rim, below 1 towards the middle.
     #[must_use]
     pub fn outwardness(&self, locations: &[Point3<f64>]) -> f64 {
-        let far = |site: usize| self.ways[site].iter().sum::<f64>();
-        let all = self.sites.iter().map(|(site, _)| far(*site)).sum::<f64>() / self.sites.len().max(1) as f64;
+        let far = |location: usize| self.ways[location].iter().sum::<f64>();
+        let all = self.candidate_locations.iter().map(|(location, _)| far(*location)).sum::<f64>()
+            / self.candidate_locations.len().max(1) as f64;
         let off = |n: usize, p: &Point3<f64>| (self.points[n] - p).norm_squared();
         let nearest = |p: &Point3<f64>| {
             (0..self.points.len()).min_by(|a, b| off(*a, p).total_cmp(&off(*b, p))).unwrap_or_default()

@@ -112,14 +112,14 @@ impl AsciiDecoder {
             Hunt::Skip => {}
             Hunt::Line => {
                 let mut line = std::mem::take(&mut self.line);
-                self.judge(&line, rest, received_ns, out);
+                self.decode_line(&line, rest, received_ns, out);
                 line.clear();
                 self.line = line;
             }
         }
     }
 
-    fn judge(&mut self, line: &[u8], rest: usize, received_ns: i64, out: &mut Vec<DecodedFrame>) {
+    fn decode_line(&mut self, line: &[u8], rest: usize, received_ns: i64, out: &mut Vec<DecodedFrame>) {
         let text = match std::str::from_utf8(line) {
             Ok(text) => text.trim(),
             Err(_) => {
@@ -139,10 +139,12 @@ impl AsciiDecoder {
         };
         self.stats.valid(rest);
         let sequence = match parsed.sequence {
-            Some(sequence) => match self.sequence.judge(sequence, parsed.device_time_us, &mut self.stats) {
-                Verdict::Accept(sequence) => sequence,
-                Verdict::Drop => return,
-            },
+            Some(sequence) => {
+                match self.sequence.classify(sequence, parsed.device_time_us, &mut self.stats) {
+                    Verdict::Accept(sequence) => sequence,
+                    Verdict::Drop => return,
+                }
+            }
             None => self.counted,
         };
         self.counted = self.counted.wrapping_add(1);

@@ -224,7 +224,7 @@ impl NativeDecoder {
 
     fn hand_out(&mut self, frame: WireFrame, received_ns: i64, out: &mut Vec<DecodedFrame>) {
         let WireFrame { sequence, device_time_us, values } = frame;
-        if let Verdict::Accept(sequence) = self.sequence.judge(sequence, device_time_us, &mut self.stats) {
+        if let Verdict::Accept(sequence) = self.sequence.classify(sequence, device_time_us, &mut self.stats) {
             self.stats.frames += 1;
             out.push(DecodedFrame { sequence, device_time_us, received_ns, values });
         }

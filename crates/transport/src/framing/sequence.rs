@@ -34,7 +34,12 @@ struct Latest {
 }
 
 impl SequenceTracker {
-    pub(super) fn judge(&mut self, sequence: u32, time_us: Option<u64>, stats: &mut DecoderStats) -> Verdict {
+    pub(super) fn classify(
+        &mut self,
+        sequence: u32,
+        time_us: Option<u64>,
+        stats: &mut DecoderStats,
+    ) -> Verdict {
         let Some(latest) = self.latest else {
             return self.accept(sequence, u64::from(sequence), time_us);
         };
@@ -95,7 +100,7 @@ mod tests {
         let mut stats = DecoderStats::new(64);
         let mut out = Vec::new();
         for (sequence, time) in frames {
-            if let Verdict::Accept(n) = tracker.judge(*sequence, Some(*time), &mut stats) {
+            if let Verdict::Accept(n) = tracker.classify(*sequence, Some(*time), &mut stats) {
                 out.push(n);
             }
         }

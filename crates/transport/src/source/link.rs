@@ -62,7 +62,7 @@ impl Wire {
                     return Ok(None);
                 }
                 let prefixed = |text: String| format!("{name}: {text}");
-                match senders.judge(sender, Instant::now()) {
+                match senders.classify(sender, Instant::now()) {
                     Verdict::Read(None) => return Ok(Some(n)),
                     Verdict::Read(Some(first)) => queue.reads(first, None),
                     Verdict::ReadInstead(other, why) => queue.reads(other, Some(prefixed(why))),

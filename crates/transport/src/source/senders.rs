@@ -68,7 +68,7 @@ impl Senders {
     }
 
     /// Decides on a datagram that came `now`.
-    pub(super) fn judge(&mut self, sender: SocketAddr, now: Instant) -> Verdict {
+    pub(super) fn classify(&mut self, sender: SocketAddr, now: Instant) -> Verdict {
         let host = sender.ip().to_canonical();
         if self.from.is_some_and(|from| from != host) {
             return Verdict::Unrequested;
@@ -123,11 +123,11 @@ mod tests {
         let mut senders = Senders::new(Sender::One, Duration::from_secs(1), None);
         let start = Instant::now();
         let at = |ms: u64| start + Duration::from_millis(ms);
-        assert_eq!(senders.judge(a, at(0)), Verdict::Read(Some(a)));
+        assert_eq!(senders.classify(a, at(0)), Verdict::Read(Some(a)));
         let mut texts = Vec::new();
         for i in 1..1500 {
-            assert_eq!(senders.judge(a, at(10 * i)), Verdict::Read(None));
-            match senders.judge(b, at(10 * i + 5)) {
+            assert_eq!(senders.classify(a, at(10 * i)), Verdict::Read(None));
+            match senders.classify(b, at(10 * i + 5)) {
                 Verdict::LeaveOut(notice) => texts.extend(notice),
                 other => panic!("{other:?}"),
             }
@@ -137,14 +137,14 @@ mod tests {
         datagrams of 10.0.0.3:6000 are left out, because 10.0.0.2:5000 sends to the same port: give each device a port of its own, or name the one that is meant with from=10.0.0.2 (999 more were left out since this was last said)
         ");
         // The first one falls silent.
-        assert!(matches!(senders.judge(b, at(15_500)), Verdict::LeaveOut(None)));
-        let Verdict::ReadInstead(who, why) = senders.judge(b, at(16_000)) else {
+        assert!(matches!(senders.classify(b, at(15_500)), Verdict::LeaveOut(None)));
+        let Verdict::ReadInstead(who, why) = senders.classify(b, at(16_000)) else {
             panic!("it has to give way")
         };
         insta::assert_snapshot!(why, @"10.0.0.3:6000 is read from now on: 10.0.0.2:5000, which was read, is silent for 1.0 s");
         assert_eq!(who, b);
         assert!(
-            matches!(senders.judge(a, at(16_001)), Verdict::LeaveOut(None)),
+            matches!(senders.classify(a, at(16_001)), Verdict::LeaveOut(None)),
             "no interleaving either way"
         );
     }
@@ -157,15 +157,15 @@ mod tests {
             [(Sender::One, [false, false]), (Sender::Host, [true, false]), (Sender::Any, [true, true])]
         {
             let mut senders = Senders::new(rule, Duration::from_secs(1), None);
-            senders.judge(a, now);
-            let read = [b, c].map(|other| senders.judge(other, now) == Verdict::Read(None));
+            senders.classify(a, now);
+            let read = [b, c].map(|other| senders.classify(other, now) == Verdict::Read(None));
             assert_eq!(read, reads, "{rule:?}");
         }
         let mut senders =
             Senders::new(Sender::One, Duration::from_secs(1), Some("10.0.0.3".parse().unwrap()));
-        assert_eq!(senders.judge(a, now), Verdict::Unrequested);
+        assert_eq!(senders.classify(a, now), Verdict::Unrequested);
         assert_eq!(
-            senders.judge(address("[::ffff:10.0.0.3]:9"), now),
+            senders.classify(address("[::ffff:10.0.0.3]:9"), now),
             Verdict::Read(Some(address("[::ffff:10.0.0.3]:9")))
         );
     }

@@ -37,8 +37,8 @@ pub(super) fn draw(folder: &Path, record: &Value) -> Result<Vec<PathBuf>> {
         let of = |name: &str, part: &str| reduced[name][part].to_string();
         format!(
             "{} of {} locations, {} of {} epochs",
-            of("places_of_each_number", "here"),
-            of("places_of_each_number", "thesis"),
+            of("locations_of_each_number", "here"),
+            of("locations_of_each_number", "thesis"),
             of("epochs", "here"),
             of("epochs", "thesis")
         )
@@ -158,7 +158,7 @@ mod tests {
         assert!(draw(folder.path(), &json!({})).unwrap().is_empty());
         assert!((mean(&contacts(0.2), "force").unwrap() - 0.2).abs() < 1e-12);
         let map = |map: u64, pixel: u64, diameter: u64, of: f64| json!({ "map": map, "pixel_mm": pixel, "diameter_mm": diameter, "contacts": contacts(of) });
-        let reduced = json!({ "places_of_each_number": { "here": 6, "thesis": 3000 },
+        let reduced = json!({ "locations_of_each_number": { "here": 6, "thesis": 3000 },
                               "epochs": { "here": 3, "thesis": 1024 } });
         let mut rows = Vec::new();
         for (way, noise, of) in [("hybrid", 0.0, 0.1), ("hybrid", 0.5, 0.3), ("end to end", 0.0, 0.9)] {

@@ -69,7 +69,7 @@ impl Frames {
     }
 
     /// Errors of maps that a function makes of all signals.
-    fn judge(&self, of: usize, maps: impl Fn(&[f32]) -> Result<Vec<f32>>) -> Result<MapSummary> {
+    fn evaluate(&self, of: usize, maps: impl Fn(&[f32]) -> Result<Vec<f32>>) -> Result<MapSummary> {
         let mut scores = MapScores::new();
         let points = self.maps[of].len() / self.stimuli[of].len().max(1);
         // In parts, so that the maps of all frames are not in memory twice.
@@ -167,8 +167,8 @@ pub(super) fn rows(
             each,
             sensors: virtual_sensors.count(),
             transfer: name,
-            single: frames.judge(0, maps)?,
-            double: frames.judge(1, maps)?,
+            single: frames.evaluate(0, maps)?,
+            double: frames.evaluate(1, maps)?,
         })
     };
     transfers.into_iter().map(row).collect()

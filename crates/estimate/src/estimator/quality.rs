@@ -33,7 +33,7 @@ impl SkinEstimator {
         (faults, invalid, checked)
     }
 
-    pub(super) fn judge(&self) -> (Quality, String) {
+    pub(super) fn evaluate(&self) -> (Quality, String) {
         let (faults, invalid, checked) = self.faulty();
         if 2 * invalid > checked || checked == 0 {
             return (

@@ -156,14 +156,14 @@ impl Targets {
 }
 
 /// Where answers are held against the truth.
-pub(in crate::real2sim) struct Judge<'a> {
+pub(in crate::real2sim) struct MethodEvaluator<'a> {
     pub(in crate::real2sim) data: &'a Dataset,
     pub(in crate::real2sim) bounds: &'a FrameBounds,
     pub(in crate::real2sim) bins: &'a [f64],
     pub(in crate::real2sim) kept: Option<&'a BTreeSet<SampleId>>,
 }
 
-impl Judge<'_> {
+impl MethodEvaluator<'_> {
     pub(in crate::real2sim) fn row(
         &self,
         name: &str,

@@ -8,9 +8,9 @@ use super::greedy::noisy;
 use super::{Field, Sets, Watch};
 use crate::TheoryError;
 
-/// Settings of the judgement.
+/// Settings of the evaluation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct JudgeSettings {
+pub struct EvaluationSettings {
     /// What the estimator may be: that of the least cross-validated error among what teaches is taken.
     pub estimators: Vec<SvrSettings>,
     /// Parts of that cross-validation.
@@ -33,7 +33,7 @@ pub(super) fn estimators() -> Vec<SvrSettings> {
     pairs.map(|(gamma, c)| SvrSettings { gamma, c, ..SvrSettings::default() }).collect()
 }
 
-impl Default for JudgeSettings {
+impl Default for EvaluationSettings {
     fn default() -> Self {
         Self {
             estimators: estimators(),
@@ -82,7 +82,7 @@ pub struct ByFailures {
 
 /// What a method's elements are worth.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Judgement {
+pub struct Evaluation {
     /// By number of elements.
     pub by_count: Vec<ByCount>,
     /// By number of failed ones, from 0.
@@ -159,7 +159,7 @@ impl Draw {
     }
 
     /// The estimator of the least error among what teaches.
-    fn choose(&self, elements: &[usize], settings: &JudgeSettings) -> Result<SvrSettings, RegressError> {
+    fn choose(&self, elements: &[usize], settings: &EvaluationSettings) -> Result<SvrSettings, RegressError> {
         let fold = folds(&self.groups, settings.folds.max(2), 7);
         let inputs = Self::rows(&self.teach, elements);
         let (width, rows) = (elements.len(), self.groups.len().min(settings.chosen_on));
@@ -243,17 +243,17 @@ fn failing(count: usize, failed: usize, draw: usize, seed: u64) -> Vec<usize> {
 /// # Errors
 ///
 /// [`TheoryError::Regress`] where readings are not finite.
-pub fn judge(
+pub fn evaluate(
     teach: &Field,
     ask: &Field,
     sets: &Sets,
-    settings: &JudgeSettings,
+    settings: &EvaluationSettings,
     watch: Watch<'_>,
-) -> Result<Option<Judgement>, TheoryError> {
+) -> Result<Option<Evaluation>, TheoryError> {
     let draws: Vec<Draw> =
         settings.seeds.iter().map(|s| Draw::new(teach, ask, *s, settings.taught)).collect();
     let Some(first) = draws.first() else {
-        return Ok(Some(Judgement { by_count: Vec::new(), by_failures: Vec::new() }));
+        return Ok(Some(Evaluation { by_count: Vec::new(), by_failures: Vec::new() }));
     };
     let largest = sets.last();
     let failures = settings.failures.min(largest.len().saturating_sub(1));
@@ -306,7 +306,7 @@ pub fn judge(
             by_failures.push(ByFailures { failed, errors, mean, interval, untaught });
         }
     }
-    Ok(Some(Judgement { by_count, by_failures }))
+    Ok(Some(Evaluation { by_count, by_failures }))
 }
 
 #[cfg(test)]
@@ -323,19 +323,23 @@ mod tests {
     fn more_elements_locate_better_and_failures_cost() {
         let (teach, ask) = halves(&plate(9, 5));
         let sets = Sets::nested(&[22, 2, 42, 20, 24, 38, 6]);
-        let settings =
-            JudgeSettings { seeds: vec![1, 2, 3], draws: 4, failures: 9, ..JudgeSettings::default() };
-        let judged = judge(&teach, &ask, &sets, &settings, &|_| true).unwrap().unwrap();
-        let means: Vec<f64> = judged.by_count.iter().map(|c| c.mean).collect();
+        let settings = EvaluationSettings {
+            seeds: vec![1, 2, 3],
+            draws: 4,
+            failures: 9,
+            ..EvaluationSettings::default()
+        };
+        let found = evaluate(&teach, &ask, &sets, &settings, &|_| true).unwrap().unwrap();
+        let means: Vec<f64> = found.by_count.iter().map(|c| c.mean).collect();
         assert!(means[6] < 0.5 * means[1] && means[6] < 0.015, "{means:?}");
         // One element cannot bound two directions.
-        assert_eq!(judged.by_count[0].bound, None);
-        assert!(judged.by_count[6].bound.unwrap() < judged.by_count[6].mean);
-        let failed = &judged.by_failures;
+        assert_eq!(found.by_count[0].bound, None);
+        assert!(found.by_count[6].bound.unwrap() < found.by_count[6].mean);
+        let failed = &found.by_failures;
         assert_eq!(failed.iter().map(|f| f.failed).collect::<Vec<_>>(), [0, 1, 2, 3, 4, 5, 6]);
-        assert_eq!(failed[0].mean, judged.by_count[6].mean);
+        assert_eq!(failed[0].mean, found.by_count[6].mean);
         assert!(failed[6].mean > 2.0 * failed[0].mean && failed[3].untaught > failed[3].mean);
-        assert!(judged.by_count.iter().all(|c| c.errors.len() == 3 && c.interval >= 0.0));
+        assert!(found.by_count.iter().all(|c| c.errors.len() == 3 && c.interval >= 0.0));
     }
 
     #[test]
