@@ -5,7 +5,9 @@ mod agreement;
 use dermis_skin::{Phase, SkinDescription};
 use serde::{Deserialize, Serialize};
 
-use crate::constants::check::{FEWEST_PRESSES, FEWEST_SAMPLES, IDLE, KELVIN, NEVER_CHANGES, NO_NUMBER};
+use crate::constants::check::{
+    FEWEST_PRESSES, FEWEST_SAMPLES, IDLE, KELVIN, LONG_HOLD, NEVER_CHANGES, NO_NUMBER,
+};
 use crate::constants::noise::REPEATS;
 use crate::recording::{Problem, Recording};
 use crate::samples::Samples;
@@ -56,7 +58,7 @@ pub fn missing(recording: &Recording, samples: &Samples, repeats: usize) -> Vec<
         );
     }
     let held = samples.list.iter().filter(|r| r.phase == Phase::Hold).map(|r| r.since).fold(0.0, f64::max);
-    if held < 1.0 {
+    if held < LONG_HOLD {
         lacks("presses that are held for a second or more", "creep and relaxation beyond that time");
     }
     if !samples.list.iter().any(|r| r.contacts > 1) {

@@ -4,12 +4,12 @@ use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
-use crate::constants::explainability::{KNOWN, NEAREST, PREDICTED, WEIGHTS};
+use crate::constants::explainability::{FIRST_SINCE, FORCE, KNOWN, NEAREST, PREDICTED, SOFTENING, WEIGHTS};
 use crate::samples::{Sample, Samples};
 
 /// What a residual goes with, in first order: the force where something touches.
 fn size(row: &Sample) -> f64 {
-    if row.phase.touched() { row.force.max(0.02) } else { 1.0 }
+    if row.phase.touched() { row.force.max(FORCE) } else { 1.0 }
 }
 
 /// Share of the energy of `residual` (samples × channels) that the nearest samples of other groups predict.
@@ -62,7 +62,7 @@ pub fn explainable(residual: &[f32], samples: &Samples, channels: usize, seed: u
         guess.fill(0.0);
         let mut weights = 0.0;
         for (away, j) in &near {
-            let w = 1.0 / (away + 1e-3);
+            let w = 1.0 / (away + SOFTENING);
             weights += w;
             let ratio = if samples.list[i].phase.touched() == samples.list[*j].phase.touched() {
                 size(&samples.list[i]) / size(&samples.list[*j])
@@ -96,7 +96,7 @@ fn coordinates(row: &Sample) -> [f64; 9] {
         or(row.position[2], 0.0),
         row.force,
         phase,
-        or(row.since, 0.0).max(1e-3).ln(),
+        or(row.since, 0.0).max(FIRST_SINCE).ln(),
         or(row.temperature, 0.0),
         row.time,
         row.before - row.force,

@@ -7,7 +7,7 @@ use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 
 use super::View;
-use crate::constants::location::{BEYOND, KERNEL, KNOWN, MAPPED, POINTS};
+use crate::constants::location::{BEYOND, KERNEL, KERNEL_CONTACTS, KERNELS, KNOWN, MAPPED, POINTS};
 
 /// The gap over the surface.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -35,12 +35,11 @@ pub fn map(view: &View<'_>, surface: &Surface) -> Map {
         return Map::default();
     }
     let area: f64 = surface.areas.iter().sum();
-    // As wide as some eight contacts lie apart.
     let mut locations: Vec<[i64; 3]> =
         single.iter().map(|i| view.samples.list[*i].position.map(|v| (v * 1e5).round() as i64)).collect();
     locations.sort_unstable();
     locations.dedup();
-    let width = (area / locations.len() as f64 * 4.0).sqrt().max(extent(surface) / 40.0);
+    let width = (area / locations.len() as f64 * KERNEL_CONTACTS).sqrt().max(extent(surface) / KERNELS);
     let each = surface.points.len().div_ceil(POINTS).max(1);
     let mut map = Map::default();
     let mut strongest: Option<(f64, usize)> = None;

@@ -2,7 +2,7 @@
 
 use super::View;
 use super::binned::Binned;
-use crate::constants::location::LEAST;
+use crate::constants::location::{LEAST, RIDGE};
 
 /// Sums for the fit of residual = a + c · model in one bin and channel.
 #[derive(Debug, Clone, Copy, Default)]
@@ -30,7 +30,7 @@ impl Line {
         }
         let spread = self.xx - self.x * self.x / self.n;
         // A weak prior: where the model is silent there is no slope.
-        let slope = (self.xy - self.x * self.y / self.n) / (spread + 10.0);
+        let slope = (self.xy - self.x * self.y / self.n) / (spread + RIDGE);
         ((self.y - slope * self.x) / self.n, slope)
     }
 }

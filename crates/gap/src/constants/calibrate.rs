@@ -9,6 +9,10 @@ pub const OFF: f64 = 0.5;
 /// Share of all readings at power-on that a warm-up is drawn with (standard deviation), its least value, and its time constant \[s\].
 /// Chosen.
 pub const WARM_UP: [f64; 3] = [0.2, -0.5, 300.0];
+/// Factors of the declared noise, of which one is drawn for each device. Chosen.
+pub const NOISES: [f64; 5] = [1.0, 1.0, 2.0, 3.0, 5.0];
+/// \[s\] in which the part of another law that goes with the course of a press fades after first contact. Chosen.
+pub const EARLY: f64 = 0.5;
 /// Standard deviation of a number of the description that is off, in large changes of it. Chosen.
 pub const NUMBER: f64 = 0.5;
 /// Rounds in which an effect is scaled to the energy that is wanted, and the logarithm of the ratio that is near enough. Chosen.

@@ -25,3 +25,25 @@ pub const UNKNOWN: [f64; 2] = [0.15, 0.7];
 pub const ALIKE: f64 = 0.03;
 /// Probability of confusion that remains after all presses of the menu at all locations where a rig cannot tell two names. Chosen.
 pub const UNTELLABLE: f64 = 0.2;
+/// \[s\] of an ordinary press: loading, holding, unloading, rest. Chosen.
+pub const PRESS: [f64; 4] = [0.2, 0.4, 0.2, 0.6];
+/// Share of the range of forces that an ordinary press has. Chosen.
+pub const USUAL: f64 = 0.6;
+/// Presses of a block of the same press. Chosen.
+pub const AGAIN: usize = 3;
+/// Shares of the range of forces of a ladder. Chosen.
+pub const LADDER: [f64; 4] = [0.0, 0.25, 0.5, 1.0];
+/// \[s\] of loading, and of unloading, of the presses of two speeds. Chosen.
+pub const SPEEDS: [f64; 2] = [0.05, 1.0];
+/// \[s\] of rest after each of these. Chosen.
+pub const REST_AFTER_SPEEDS: f64 = 1.5;
+/// \[s\] of holding and of rest of a short press and of a long one. Chosen.
+pub const HELD_AND_RESTED: [[f64; 2]; 2] = [[0.2, 3.0], [10.0, 10.0]];
+/// \[s\] untouched before the first press of a simulated protocol. Chosen.
+pub const BEFORE: f64 = 1.0;
+/// \[s\] between simulated frames, at least. Chosen: bounds the simulations.
+pub const STEP: f64 = 0.02;
+/// Multiples of that step before the first press, and where a press is held or rests for long. Chosen.
+pub const COARSE: [f64; 2] = [5.0, 10.0];
+/// \[s\] after loading, before unloading and after it that are not simulated in such multiples. Chosen.
+pub const SLOW_AFTER: f64 = 1.0;

@@ -30,7 +30,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Memory, Options, check, diagnose, signatures};
 use crate::GapError;
-use crate::constants::calibrate::{LAW, NEAR, NUMBER, OFF, SCALE, SCALINGS, SIZES, WARM_UP};
+use crate::constants::calibrate::{EARLY, LAW, NEAR, NOISES, NUMBER, OFF, SCALE, SCALINGS, SIZES, WARM_UP};
 use crate::constants::signatures::TOLERANCE;
 use crate::design;
 use crate::effects;
@@ -154,7 +154,7 @@ impl Bench<'_> {
                 }
             }
         }
-        let factor: f64 = *[1.0, 1.0, 2.0, 3.0, 5.0].choose(rng).unwrap_or(&1.0);
+        let factor: f64 = *NOISES.choose(rng).unwrap_or(&1.0);
         let mut recording = self.recording.clone();
         let channels = recording.channels;
         for (row, frame) in readings.chunks_exact(channels).zip(&self.frames) {
@@ -324,7 +324,7 @@ impl Bench<'_> {
                     Phase::Unload => -1.0,
                     _ => 0.0,
                 };
-                let early = 2.0 * (-(label.time - begun).max(0.0) / 0.5).exp() - 1.0;
+                let early = 2.0 * (-(label.time - begun).max(0.0) / EARLY).exp() - 1.0;
                 // Legendre's polynomials have a mean square of one over these.
                 let parts = [3.0f64.sqrt() * u, 5.0f64.sqrt() * 0.5 * (3.0 * u * u - 1.0), way, early];
                 let sum: f64 = parts.iter().zip(weights).map(|(p, w)| p * w).sum();

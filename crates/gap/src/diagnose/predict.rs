@@ -18,7 +18,7 @@ use super::refine::Refined;
 use super::select::Selected;
 use crate::GapError;
 use crate::constants::Z90;
-use crate::constants::predict::{APART, ELSEWHERE, FLOOR_ERROR, HELPS, HISTORY, STRETCHED};
+use crate::constants::predict::{APART, ELSEWHERE, FLOOR_ERROR, HELPS, HISTORY, LEAST_GAP, STRETCHED};
 use crate::noise::Gap;
 use crate::report::{NamedEffect, ResidualReduction};
 use crate::rivals::{Rival, Structure};
@@ -87,7 +87,7 @@ impl<'a> Groups<'a> {
     /// Share of the gap over groups with these weights that losses of groups leave away.
     fn reduction(&self, losses: &[f64], weights: &[f64]) -> f64 {
         let (b, a) = (weighted(&self.before, weights), weighted(losses, weights));
-        (b - a) / (b - self.data.floor(weights)).max(0.05 * b)
+        (b - a) / (b - self.data.floor(weights)).max(LEAST_GAP * b)
     }
 
     /// Unexplained variance over the groups that were kept.

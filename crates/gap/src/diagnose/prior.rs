@@ -13,7 +13,7 @@ use crate::design;
 use crate::report::Value;
 
 /// Says of each value of an effect how plausible it is: the probability of one as far off or farther.
-pub(super) fn judge(data: &Data<'_>, effect: &str, values: &mut [Value]) {
+pub(super) fn score(data: &Data<'_>, effect: &str, values: &mut [Value]) {
     for value in values {
         let away = prior(data, effect, value).zip(value.interval).map(|((middle, half), [low, high])| {
             let nearest = middle.clamp(low.min(high), high.max(low));
@@ -56,7 +56,7 @@ mod tests {
                 let value =
                     Value { name: name.to_owned(), value, unit: String::new(), interval, plausibility: None };
                 let mut values = [value];
-                judge(&data, effect, &mut values);
+                score(&data, effect, &mut values);
                 (values[0].plausibility, cost(&values))
             };
             // The bend of devices is 0.1 to 0.4 per newton.

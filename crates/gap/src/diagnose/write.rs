@@ -7,6 +7,7 @@ use super::data::Data;
 use super::select::Selected;
 use crate::algebra::{cholesky_solve, dot};
 use crate::constants::refine::{HELD, STARTS};
+use crate::constants::select::PRIOR;
 use crate::design;
 use crate::effects;
 use crate::signatures::{Candidate, uptime};
@@ -184,7 +185,7 @@ fn channel_by_channel(
                 a[i * m + j] =
                     products.map(|((x, y), s)| weights[s.group] * f64::from(*x) * f64::from(*y)).sum();
             }
-            a[i * m + i] = a[i * m + i] * (1.0 + 1e-6) + 0.05;
+            a[i * m + i] = a[i * m + i] * (1.0 + 1e-6) + PRIOR;
         }
         let score = b.clone();
         if cholesky_solve(&mut a, m, &mut b).is_some() {

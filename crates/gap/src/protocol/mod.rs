@@ -15,7 +15,10 @@ use dermis_skin::{Phase, Surface};
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use crate::constants::protocol::{MOVE, TIP_CHANGE};
+use crate::constants::protocol::{
+    AGAIN, BEFORE, COARSE, HELD_AND_RESTED, LADDER, MOVE, PRESS, REST_AFTER_SPEEDS, SLOW_AFTER, SPEEDS, STEP,
+    TIP_CHANGE, USUAL,
+};
 use crate::recording::{FrameLabel, Recording};
 
 /// One press to come.
@@ -135,29 +138,27 @@ impl Range {
     /// An ordinary press.
     #[must_use]
     pub fn press(&self, share: f64) -> PlannedPress {
-        PlannedPress { force: self.force(share), tip: self.tip, load: 0.2, hold: 0.4, unload: 0.2, rest: 0.6 }
+        let [load, hold, unload, rest] = PRESS;
+        PlannedPress { force: self.force(share), tip: self.tip, load, hold, unload, rest }
     }
 }
 
 /// All that may be done at one place.
 #[must_use]
 pub fn menu(range: &Range, at: Point3<f64>) -> Vec<Block> {
-    let usual = range.press(0.6);
+    let usual = range.press(USUAL);
     let block = |kind, presses| Block { kind, at, presses };
     let mut blocks = vec![
         block(BlockKind::Single, vec![usual]),
-        block(BlockKind::Again, vec![usual; 3]),
-        block(BlockKind::Ladder, [0.0, 0.25, 0.5, 1.0].map(|share| range.press(share)).into()),
+        block(BlockKind::Again, vec![usual; AGAIN]),
+        block(BlockKind::Ladder, LADDER.map(|share| range.press(share)).into()),
         block(
             BlockKind::TwoSpeeds,
-            [0.05, 1.0].map(|t| PlannedPress { load: t, unload: t, rest: 1.5, ..usual }).into(),
+            SPEEDS.map(|t| PlannedPress { load: t, unload: t, rest: REST_AFTER_SPEEDS, ..usual }).into(),
         ),
         block(
             BlockKind::HoldAndRest,
-            vec![
-                PlannedPress { hold: 0.2, rest: 3.0, ..usual },
-                PlannedPress { hold: 10.0, rest: 10.0, ..usual },
-            ],
+            HELD_AND_RESTED.map(|[hold, rest]| PlannedPress { hold, rest, ..usual }).into(),
         ),
     ];
     if let Some(tip) = range.second_tip {
@@ -170,7 +171,7 @@ pub fn menu(range: &Range, at: Point3<f64>) -> Vec<Block> {
 /// locations, press numbers the presses, both from 1; `rate` \[Hz\] is that of the skin, which slow stretches do not need.
 pub(crate) fn carried_out(blocks: &[Block], surface: &Surface, channels: usize, rate: f64) -> Recording {
     let mut recording = Recording::new("presses to come", channels);
-    let step = (1.0 / rate).max(0.02);
+    let step = (1.0 / rate).max(STEP);
     let mut time = 0.0;
     let mut press_number = 0u64;
     let mut locations: Vec<Point3<f64>> = Vec::new();
@@ -181,9 +182,9 @@ pub(crate) fn carried_out(blocks: &[Block], surface: &Surface, channels: usize, 
             FrameLabel { time, run: 0, press, location, phase, stimulus: Some(stimulus), temperature };
         recording.push(label, &[]);
     };
-    while time < 1.0 {
+    while time < BEFORE {
         add(time, Phase::Idle, Vec::new(), 0, 0);
-        time += 5.0 * step;
+        time += COARSE[0] * step;
     }
     for block in blocks {
         let (at, normal) = surface.project(&block.at);
@@ -213,8 +214,8 @@ pub(crate) fn carried_out(blocks: &[Block], surface: &Surface, channels: usize, 
                 let contacts = if share > 0.0 { vec![contact()] } else { Vec::new() };
                 add(time, phase, contacts, press_number, location);
                 // What is held or rests for long changes slowly.
-                let slow = (t > ends[0] + 1.0 && t < ends[1] - 1.0) || t > ends[2] + 1.0;
-                time += if slow { 10.0 * step } else { step };
+                let slow = (t > ends[0] + SLOW_AFTER && t < ends[1] - SLOW_AFTER) || t > ends[2] + SLOW_AFTER;
+                time += if slow { COARSE[1] * step } else { step };
             }
         }
     }

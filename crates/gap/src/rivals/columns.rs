@@ -4,7 +4,11 @@ use std::collections::BTreeMap;
 
 use super::{Made, Shape};
 use crate::algebra::components;
-use crate::constants::rivals::{AMOUNT, FADE, HELD, PATCHES, PATTERNS, PLACES_A_PATCH, WIDTH, ZERO_KNOTS};
+use crate::constants::location::FORCE;
+use crate::constants::rivals::{
+    AMOUNT, DISTINCT, FADE, FIRST_SINCE, HELD, PATCH_END, PATCHES, PATTERNS, PLACES_A_PATCH, POWERS, SPEED,
+    WIDE, WIDTH, ZERO_KNOTS,
+};
 use crate::samples::{Sample, Samples};
 use crate::statistics::Column;
 
@@ -64,7 +68,7 @@ impl Locations {
         let half: [f64; 3] = std::array::from_fn(|a| 0.5 * (high[a] - low[a]));
         let most = half.iter().copied().fold(0.0, f64::max);
         // A millimetre in a decimetre is no axis of its own.
-        let wide = (0..3).filter(|a| half[*a] > 5e-4 && half[*a] > 0.05 * most).collect();
+        let wide = (0..3).filter(|a| half[*a] > WIDE[0] && half[*a] > WIDE[1] * most).collect();
         Self { middle: std::array::from_fn(|a| 0.5 * (low[a] + high[a])), half, wide }
     }
 
@@ -106,7 +110,7 @@ pub(super) fn smooth(locations: &Locations, list: &[Sample]) -> Vec<Vec<f64>> {
 /// Powers of the force.
 fn powers(list: &[Sample]) -> Vec<Vec<f64>> {
     let forces = forces(list);
-    (0..4).map(|p| forces.iter().map(|f| f.powi(p)).collect()).collect()
+    (0..POWERS).map(|p| forces.iter().map(|f| f.powi(p)).collect()).collect()
 }
 
 /// For each channel the courses that all channels have most in common.
@@ -133,9 +137,9 @@ fn lag(list: &[Sample], signals: &[f32], channels: usize) -> Vec<Column> {
         vec![1.0; list.len()],
         list.iter().map(|s| when(s, s.phase == Load)).collect(),
         list.iter().map(|s| when(s, s.phase == Unload)).collect(),
-        list.iter().map(|s| when(s, true) * s.since.max(1e-2).ln()).collect(),
+        list.iter().map(|s| when(s, true) * s.since.max(FIRST_SINCE).ln()).collect(),
         list.iter()
-            .map(|s| when(s, true) * (s.speed / s.force.max(0.01)).clamp(-20.0, 20.0) / 20.0)
+            .map(|s| when(s, true) * (s.speed / s.force.max(FORCE) / SPEED).clamp(-1.0, 1.0))
             .collect(),
     ];
     let functions: Vec<Vec<f64>> = functions
@@ -213,7 +217,7 @@ pub(super) fn patches(locations: &Locations, samples: &Samples) -> (Vec<Vec<f64>
     let mut width = f64::INFINITY;
     while middles.len() < count {
         let Some((far, next)) = nearest.iter().zip(&known).max_by(|a, b| a.0.total_cmp(b.0)) else { break };
-        if *far < 1e-4 {
+        if *far < DISTINCT {
             break;
         }
         (width, middles) = (*far, middles.into_iter().chain([*next]).collect());
@@ -227,7 +231,7 @@ pub(super) fn patches(locations: &Locations, samples: &Samples) -> (Vec<Vec<f64>
         (0..at.len())
             .map(|i| {
                 let far = away(i, middle) / (WIDTH * width);
-                if far < 5.0 { (-0.5 * far * far).exp() } else { 0.0 }
+                if far < PATCH_END { (-0.5 * far * far).exp() } else { 0.0 }
             })
             .collect()
     };

@@ -5,6 +5,7 @@ use dermis_skin::Effect;
 
 use super::{FittedCandidate, Refiner, with};
 use crate::constants::Z90;
+use crate::constants::select::PRIOR;
 use crate::diagnose::{prior, write};
 use crate::nonlinear_refinement::{self, Free};
 use crate::report::{Alternative, NamedEffect, Value};
@@ -31,7 +32,7 @@ impl Refiner<'_> {
             self.fit_family(candidate, fit, beside)?
         };
         let Some((effects, read, mut values)) = found else { return Ok(None) };
-        prior::judge(&self.data, &of.name, &mut values);
+        prior::score(&self.data, &of.name, &mut values);
         let target = self.data.target(self.weights, self.discrepancy, &self.data.options.progress);
         let (_, energy) = target.residual(&read);
         let left = whitening::residual(self.data.readings, &read, self.data.sigma);
@@ -73,7 +74,7 @@ impl Refiner<'_> {
                     let interval = half.map(|half| [value - half, value + half]);
                     let (name, unit) = (name.clone(), String::new());
                     alias.values = vec![Value { name, value, unit, interval, plausibility: None }];
-                    prior::judge(&self.data, &alias.name, &mut alias.values);
+                    prior::score(&self.data, &alias.name, &mut alias.values);
                     alias.effects.clone_from(&effects);
                     if place == 0 {
                         named.theta.extend(alias.values.iter().cloned());
@@ -217,7 +218,7 @@ fn half_widths(statistics: &Statistics, fit: &Fit, of: &[usize], weights: &[f64]
             fit.set.iter().zip(fitted).map(|(&c, f)| weights[g] * (statistics.score(g)[c] - f)).collect()
         })
         .collect();
-    let factor = sum.factor(&fit.set, |_, g| g * (1.0 + 1e-9) + 0.05);
+    let factor = sum.factor(&fit.set, |_, g| g * (1.0 + 1e-9) + PRIOR);
     of.iter()
         .map(|c| {
             let at = fit.set.iter().position(|s| s == c);
