@@ -39,6 +39,7 @@ pub fn run(options: &Options) -> Result<()> {
             "{}",
             json!({
                 "version": env!("CARGO_PKG_VERSION"),
+                "features": FEATURES.iter().filter(|f| f.built).map(|f| f.name).collect::<Vec<_>>(),
                 "inference": inference,
                 "serial_devices": serial,
                 "network": network,
@@ -49,6 +50,7 @@ pub fn run(options: &Options) -> Result<()> {
         return Ok(());
     }
     println!("dermis {}", env!("CARGO_PKG_VERSION"));
+    println!("features      {}", features(&FEATURES));
     println!("inference     {inference}");
     println!(
         "serial        {}",
@@ -72,6 +74,31 @@ pub fn run(options: &Options) -> Result<()> {
     Ok(())
 }
 
+/// What a program may be built with.
+struct Feature {
+    name: &'static str,
+    /// What it adds.
+    adds: &'static str,
+    built: bool,
+}
+
+/// The optional features of this crate.
+const FEATURES: [Feature; 3] = [
+    Feature { name: "train", adds: "trains convolutional networks", built: cfg!(feature = "train") },
+    Feature { name: "gpu", adds: "trains them on a GPU", built: cfg!(feature = "gpu") },
+    Feature { name: "ros2", adds: "talks through the ROS 2 that is sourced", built: cfg!(feature = "ros2") },
+];
+
+/// The features that this program has, and those that it lacks.
+fn features(all: &[Feature]) -> String {
+    let listed = |built: bool| -> Vec<String> {
+        all.iter().filter(|f| f.built == built).map(|f| format!("{} ({})", f.name, f.adds)).collect()
+    };
+    let parts = [("", listed(true)), ("without ", listed(false))];
+    let parts = parts.iter().filter(|(_, names)| !names.is_empty());
+    parts.map(|(word, names)| format!("{word}{}", names.join(", "))).collect::<Vec<_>>().join("; ")
+}
+
 fn serial_devices() -> Vec<String> {
     let Ok(entries) = std::fs::read_dir("/dev") else { return Vec::new() };
     let mut devices: Vec<String> = entries
@@ -82,4 +109,24 @@ fn serial_devices() -> Vec<String> {
         .collect();
     devices.sort();
     devices
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn features_are_named_with_what_they_add() {
+        let with = |built: [bool; 3]| {
+            let all: Vec<Feature> = FEATURES
+                .into_iter()
+                .zip(built)
+                .map(|(feature, built)| Feature { built, ..feature })
+                .collect();
+            features(&all)
+        };
+        insta::assert_snapshot!(with([false; 3]), @"without train (trains convolutional networks), gpu (trains them on a GPU), ros2 (talks through the ROS 2 that is sourced)");
+        insta::assert_snapshot!(with([true, false, true]), @"train (trains convolutional networks), ros2 (talks through the ROS 2 that is sourced); without gpu (trains them on a GPU)");
+        insta::assert_snapshot!(with([true; 3]), @"train (trains convolutional networks), gpu (trains them on a GPU), ros2 (talks through the ROS 2 that is sourced)");
+    }
 }

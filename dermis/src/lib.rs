@@ -391,6 +391,8 @@ mod tests {
             &["--skin", "a", "--real", "b"],
             &serde_json::json!({ "diagnose": gap }),
         );
+        let presses = serde_json::json!({ "skin": "a", "presses": ["b"] });
+        same::<gap::calibration::Request>(&["--skin", "a", "--presses", "b"], &presses);
         let made = serde_json::json!({ "skin": "a", "seed": 3, "truth": "s", "out": "o" });
         let words = ["--skin", "a", "--seed", "3", "--truth", "s", "--out", "o"];
         same::<gap::generation::Request>(&words, &made);

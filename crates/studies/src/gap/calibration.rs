@@ -15,7 +15,8 @@ use serde::{Deserialize, Serialize};
 use crate::Families;
 
 /// Along which presses devices are simulated.
-#[derive(Debug, Clone, Args)]
+#[derive(Debug, Clone, Args, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct Request {
     /// Skin description: the model by design.
     #[arg(long, requires = "presses")]
@@ -24,10 +25,10 @@ pub struct Request {
     #[arg(long, value_name = "BAG", requires = "skin")]
     pub presses: Vec<PathBuf>,
     /// Devices along the presses of each bag.
-    #[arg(long, default_value_t = 100)]
+    #[arg(long, default_value_t = Request::default().count)]
     pub count: usize,
     /// Of everything random.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = Request::default().seed)]
     pub seed: u64,
     /// Trials of earlier runs that the table is fitted to as well.
     #[arg(long, value_name = "FILE")]
@@ -35,6 +36,12 @@ pub struct Request {
     /// Folder that keeps simulated signatures; the user's cache folder where absent.
     #[arg(long, value_name = "DIR")]
     pub cache: Option<PathBuf>,
+}
+
+impl Default for Request {
+    fn default() -> Self {
+        Self { skin: None, presses: Vec::new(), count: 100, seed: 1, with: Vec::new(), cache: None }
+    }
 }
 
 /// Trials with where they come from.
