@@ -82,10 +82,10 @@ struct Feature {
     built: bool,
 }
 
-/// The optional features of this crate.
+/// The optional features of this program.
 const FEATURES: [Feature; 3] = [
-    Feature { name: "train", adds: "trains convolutional networks", built: cfg!(feature = "train") },
-    Feature { name: "gpu", adds: "trains them on a GPU", built: cfg!(feature = "gpu") },
+    Feature { name: "train", adds: "trains convolutional networks", built: dermis_learn::CONVOLUTIONAL },
+    Feature { name: "gpu", adds: "trains them on a GPU", built: dermis_learn::GPU },
     Feature { name: "ros2", adds: "talks through the ROS 2 that is sourced", built: cfg!(feature = "ros2") },
 ];
 

@@ -110,7 +110,7 @@ impl Doubts {
         if self.tips > 0 {
             recording.problems.push(Problem::note(
                 "tip",
-                format!("{place}: the tip's diameter is not known; 4 mm are assumed, so that its size cannot be told"),
+                format!("{place}: the tip's diameter is not known; 4 mm are assumed, so that its size cannot be identified"),
             ));
         }
         if self.unknown > 0 {
@@ -122,7 +122,7 @@ impl Doubts {
     }
 }
 
-/// What touches, on the surface; `None` where that cannot be told.
+/// What touches, on the surface; `None` where that is not known.
 pub(crate) fn stimulus(
     contacts: Vec<Touch>,
     temperature: f64,
@@ -171,6 +171,8 @@ fn mapped(
     let options = DatasetOptions {
         map: Some(map.clone()),
         instance: instance.map(str::to_owned),
+        // A recording holds every frame.
+        most_frames: usize::MAX,
         ..DatasetOptions::default()
     };
     let data = Dataset::from_bags(bags, skin, &options)?;

@@ -39,15 +39,18 @@ pub fn of_data(data: &Dataset) -> Result<BTreeMap<String, Value>, LearnError> {
     let mut bags = Vec::new();
     for (index, run) in data.runs().iter().enumerate() {
         let stamps = || run.samples.iter().map(|s| s.stamp);
+        let labelled = run.samples.iter().filter(|s| s.truth.is_some()).count();
         bags.push(json!({
             "name": run.path.file_name().map(|n| n.to_string_lossy()),
             "session": run.session,
             "hash": run.hash,
-            "frames": run.samples.len(),
-            "labelled": run.samples.iter().filter(|s| s.truth.is_some()).count(),
+            "frames": run.frames(),
+            "every": run.every(),
+            "used": run.samples.len(),
+            "labelled": labelled,
             "lost": run.lost,
             "seconds": stamps().max().zip(stamps().min()).map(|(last, first)| (last - first) as f64 * 1e-9),
-            "tares": run.samples.iter().filter(|s| s.tare).count(),
+            "tares": run.tares(),
             "noise": noise(data, index)?,
             "force_sensor": run.bias,
         }));

@@ -1,12 +1,13 @@
 //! Options that every command which reads labelled bags has.
 
+use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
 use clap::Args;
 use dermis_skin::Surface;
 use serde::{Deserialize, Serialize};
 
-use crate::{DatasetOptions, LabelMap, LearnError, MapReading};
+use crate::{DatasetOptions, LabelMap, LearnError, MOST_FRAMES, MapReading};
 
 /// How bags are read.
 #[derive(Debug, Clone, Default, Args, Serialize, Deserialize)]
@@ -25,6 +26,11 @@ pub struct Labels {
     /// Seconds between a frame and its ground truth that still count as the same instant; a map has its own.
     #[arg(long)]
     tolerance: Option<f64>,
+    /// Frames of all bags together that are used at most, 4000000 by default. Where there are more, every k-th is used, and one of each
+    /// press that has none among those.
+    #[arg(long, value_name = "COUNT")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    most_frames: Option<NonZeroUsize>,
 }
 
 impl Labels {
@@ -39,6 +45,7 @@ impl Labels {
             instance: self.skin_instance.clone(),
             taxels: self.taxels.clone(),
             map: self.map.as_ref().map(LabelMap::load).transpose()?,
+            most_frames: self.most_frames.map_or(MOST_FRAMES, NonZeroUsize::get),
             ..DatasetOptions::default()
         })
     }

@@ -4,17 +4,24 @@
 //! are read again by who needs them ([`Dataset::stream`]), so that memory does not grow with the size of a frame; bags of
 //! up to [`DatasetOptions::memory`] are held, which saves the second reading.
 //!
-//! Memory grows with the number of frames: 72 bytes for each ([`FrameInfo`]), and 88 for each true contact ([`TruthContact`]);
-//! while a bag is read, up to 184 bytes for each frame, 96 more where it has ground truth, and 176 for each contact. An hour at
-//! 100 Hz, touched throughout by one contact, is 58 MB, and up to 164 MB while it is read. `tests/memory.rs` holds these.
+//! Memory grows with the number of frames up to [`DatasetOptions::most_frames`], and not beyond: 72 bytes for each ([`FrameInfo`]), and
+//! 88 for each true contact ([`TruthContact`]); while a bag is read, up to 136 bytes for each frame, 96 more where it has ground truth,
+//! and 176 for each contact. An hour at 100 Hz, touched throughout by one contact, is 58 MB, and up to 147 MB while it is read. Of bags with
+//! more frames, every k-th is in the index (`index`), and frames and ground truth are not held while they are joined (`track`). All
+//! frames are still read in order, for zero, drift and history. The assumption is that frames that follow each other tell nearly the same; the
+//! cost is two more readings of the bag. `tests/memory.rs` holds all of it.
 
+mod index;
+mod order;
 mod read;
 mod recording;
 mod stream;
+mod track;
 mod truth;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use dermis_inference::{Baseline, FeatureConfig, Features};
 use dermis_skin::SkinDescription;
@@ -24,15 +31,22 @@ use crate::findings::{self, Findings};
 use crate::map::{Bias, LabelMap, Locations};
 use crate::{LearnError, SplitConfig, SplitKind};
 
-use read::read_run;
+pub(crate) use index::Sparse;
+use index::{Between, Plan};
+pub(crate) use read::check_late;
+use read::{Opened, Reader};
 use stream::{FEWEST_TARE_FRAMES, Source};
 pub use stream::{FrameInfo, Sample};
+pub(crate) use track::{FromBag, Gathered, Track};
 pub use truth::{Truth, TruthContact};
 
 /// Contact locations below which an interval over held-out ones says little.
 const FEW_LOCATIONS: usize = 20;
 /// Bytes of frames that a data set holds where nothing else is requested.
 const MEMORY: usize = 256 << 20;
+/// Frames that are in the index of a data set where nothing else is requested: 11 hours at 100 Hz. Touched throughout by one contact, they take
+/// 0.6 GiB, and rows of a dense network of 25 inputs and 3 outputs 0.9 GB more, which a machine of 8 GiB has.
+pub const MOST_FRAMES: usize = 4_000_000;
 
 /// One recording.
 #[derive(Debug, Clone)]
@@ -43,12 +57,15 @@ pub struct Run {
     pub session: String,
     /// `sha256:` and 64 hex digits over frames and ground truth as they are stored.
     pub hash: String,
-    /// What is known of every frame, in order of acquisition; [`Dataset::stream`] gives their readings.
+    /// What is known of the frames that are in the index, in order of acquisition: all of them, or every k-th where bags hold more than
+    /// [`DatasetOptions::most_frames`]. [`Dataset::stream`] gives their readings, and those of the frames between.
     pub samples: Vec<FrameInfo>,
     /// Frames that the device sent and the bag lacks.
     pub lost: u64,
     /// What the rig's force sensor does when nothing touches; `None` where the ground truth is ours.
     pub bias: Option<Bias>,
+    /// What is known of the other frames; `None` where all are in the index.
+    between: Option<Arc<Between>>,
     source: Source,
 }
 
@@ -57,7 +74,8 @@ pub struct Run {
 pub struct SampleId {
     /// Index in [`Dataset::runs`].
     pub run: usize,
-    /// Index in [`Run::samples`].
+    /// Number of the frame in its run, in order of acquisition, from 0: [`FrameInfo::number`], and the index in [`Run::samples`] where
+    /// all frames are there.
     pub sample: usize,
 }
 
@@ -80,6 +98,9 @@ pub struct DatasetOptions {
     /// Bytes of frames that are held in memory over all bags; further ones are read anew whenever their readings are
     /// needed.
     pub memory: usize,
+    /// Frames that are indexed at most over all bags, at 72 bytes each and 88 for each contact. Where bags hold more, every k-th is used, and
+    /// one of each press that has none among those; a notice says so.
+    pub most_frames: usize,
 }
 
 impl Default for DatasetOptions {
@@ -91,6 +112,7 @@ impl Default for DatasetOptions {
             taxels: None,
             map: None,
             memory: MEMORY,
+            most_frames: MOST_FRAMES,
         }
     }
 }
@@ -137,10 +159,14 @@ impl Dataset {
     ) -> Result<Self, LearnError> {
         let (mut findings, mut pressed) = (Findings::default(), Locations::default());
         let mut runs = Vec::new();
-        let mut memory = options.memory;
-        for path in paths {
+        let opened = paths.iter().map(|path| Opened::new(path.as_ref(), skin, options));
+        let opened = opened.collect::<Result<Vec<_>, _>>()?;
+        let frames: Vec<usize> = opened.iter().map(|bag| bag.frames).collect();
+        let plan = Plan::new(options.most_frames, &frames);
+        let mut reader = Reader { skin, options, plan, memory: options.memory };
+        for bag in &opened {
             let mut own = Findings::default();
-            runs.extend(read_run(path.as_ref(), skin, options, &mut pressed, &mut own, &mut memory)?);
+            runs.extend(reader.read(bag, &mut pressed, &mut own)?);
             findings.extend(own);
         }
         Ok(Self { skin: skin.clone(), runs, findings, map: options.map.clone() })
@@ -270,19 +296,22 @@ impl Dataset {
         Ok(answer)
     }
 
-    /// What is known of one sample, without its readings; `None` where there is none of this identity.
+    /// What is known of one sample, without its readings; `None` where there is none of this identity in the index.
     #[must_use]
     pub fn sample(&self, id: SampleId) -> Option<&FrameInfo> {
-        self.runs.get(id.run)?.samples.get(id.sample)
+        let samples = &self.runs.get(id.run)?.samples;
+        if let Some(sample) = samples.get(id.sample).filter(|s| s.number as usize == id.sample) {
+            return Some(sample);
+        }
+        let at = samples.binary_search_by_key(&id.sample, |s| s.number as usize).ok()?;
+        samples.get(at)
     }
 
     /// Every sample that has ground truth, in order.
     pub fn labelled(&self) -> impl Iterator<Item = (SampleId, &FrameInfo, &Truth)> {
         self.runs.iter().enumerate().flat_map(|(run, r)| {
-            r.samples
-                .iter()
-                .enumerate()
-                .filter_map(move |(sample, s)| s.truth.as_ref().map(|t| (SampleId { run, sample }, s, t)))
+            let id = move |s: &FrameInfo| SampleId { run, sample: s.number as usize };
+            r.samples.iter().filter_map(move |s| s.truth.as_ref().map(|t| (id(s), s, t)))
         })
     }
 

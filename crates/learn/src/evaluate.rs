@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::LearnError;
 use crate::bounds::{AgainstBound, FrameBounds};
-use crate::dataset::{Dataset, SampleId};
+use crate::dataset::{Dataset, Run, SampleId};
 use crate::metrics::{Bin, COUNTED_FROM, ContactError, FORCE_BINS, MapErrors, MapScorer, Scores, Summary};
 
 mod collect;
@@ -291,7 +291,7 @@ pub fn evaluate_parts(
     let presses: BTreeSet<(usize, u64)> = targets.iter().flatten().filter_map(press).collect();
     let (mut evaluators, names): (Vec<Evaluator>, Vec<&str>) =
         parts.into_iter().map(|(evaluator, name, _)| (evaluator, name)).unzip();
-    let total = data.runs().iter().map(|r| r.samples.len()).sum::<usize>().max(1) as f64;
+    let total = data.runs().iter().map(Run::frames).sum::<usize>().max(1) as f64;
     let mut done = 0u32;
     for (run, r) in data.runs().iter().enumerate() {
         estimator.reset();

@@ -16,6 +16,9 @@
 //! | `force_normal` | the same | N | pressing force, positive |
 //! | `split` | `split` \[n\] | | `train`, `held_out`, or empty without ground truth |
 //!
+//! Where the bags hold more frames than [`DatasetOptions::most_frames`](crate::DatasetOptions::most_frames), rows are those that are in the
+//! index of the data set; `frames` in the file says how many there are, and `every` of how many one is there.
+//!
 //! The same in JSON is in the file: key `dermis` of the Parquet metadata, `schema.json` in the NPZ.
 
 mod columns;
@@ -36,7 +39,7 @@ use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::types::Type;
 use serde_json::json;
 
-use crate::dataset::{Dataset, Run, Sample};
+use crate::dataset::{Dataset, Run, Sample, SampleId};
 use crate::{LearnError, SplitConfig};
 
 /// Rows that are encoded together; what is held in memory beside the data set is one column of them.
@@ -178,6 +181,8 @@ impl<'a> Table<'a> {
             "session": run.session,
             "hash": run.hash,
             "lost": run.lost,
+            "frames": run.frames(),
+            "every": run.every(),
             "split": options.split,
             "split_in_words": options.split.describe(),
             "map": data.map(),
@@ -191,6 +196,13 @@ impl<'a> Table<'a> {
             columns,
             schema: schema.to_string(),
         }
+    }
+
+    /// The frames that are in the index of the data set.
+    fn rows(&self) -> Result<impl Iterator<Item = Result<Sample, LearnError>> + '_, LearnError> {
+        let all = self.data.stream(self.index)?.enumerate();
+        let indexed = |sample| self.data.sample(SampleId { run: self.index, sample }).is_some();
+        Ok(all.filter(move |(number, s)| s.is_err() || indexed(*number)).map(|(_, s)| s))
     }
 
     fn parquet(&self, path: &Path) -> Result<(), LearnError> {
@@ -226,7 +238,7 @@ impl<'a> Table<'a> {
         let file = File::create(path).map_err(LearnError::io(path, "written"))?;
         let mut writer =
             SerializedFileWriter::new(file, Arc::new(schema), Arc::new(properties)).map_err(failed)?;
-        let mut frames = self.data.stream(self.index)?;
+        let mut frames = self.rows()?;
         for held_out in self.held_out.chunks(ROW_GROUP) {
             let samples: Vec<Sample> = frames.by_ref().take(held_out.len()).collect::<Result<_, _>>()?;
             let mut rows = writer.next_row_group().map_err(failed)?;
@@ -270,7 +282,7 @@ impl<'a> Table<'a> {
             ($kind:ty, $get:expr) => {{
                 let options = npyz::WriteOptions::<$kind>::new().default_dtype().shape(&shape);
                 let mut writer = options.writer(out).begin_nd().map_err(io)?;
-                for sample in self.data.stream(self.index)? {
+                for sample in self.rows()? {
                     let sample = sample?;
                     writer.extend((0..parts.max(1)).map(|part| $get(&sample, part))).map_err(io)?;
                 }

@@ -46,7 +46,9 @@ pub use bounds::{
     AgainstBound, Bounds, FrameBounds, MOST as MOST_BOUNDED, OfSeveral, Ratio, RatioBin, Unbounded,
     Uncounted, UncountedBin, Undetermined, WellDetermined, frame_bounds, stimulus,
 };
-pub use dataset::{Dataset, DatasetOptions, FrameInfo, Run, Sample, SampleId, Truth, TruthContact};
+pub use dataset::{
+    Dataset, DatasetOptions, FrameInfo, MOST_FRAMES, Run, Sample, SampleId, Truth, TruthContact,
+};
 pub use error::LearnError;
 pub use evaluate::{
     Evaluation, Evaluator, Requirement, Verdict, Verdicts, evaluate, evaluate_by, evaluate_parts,
@@ -60,3 +62,8 @@ pub use metrics::{
 };
 pub use recordings::{Recorded, superpose};
 pub use split::{Split, SplitConfig, SplitKind};
+
+/// Whether this build trains convolutional networks.
+pub const CONVOLUTIONAL: bool = cfg!(feature = "train");
+/// Whether it trains them on a GPU.
+pub const GPU: bool = cfg!(feature = "gpu");

@@ -8,7 +8,9 @@
 mod file;
 mod label;
 
-use dermis_bag::BagMessage;
+use std::sync::Arc;
+
+use dermis_bag::{BagMessage, BagReader, Filter};
 use dermis_msgs::Message;
 use dermis_msgs::builtin_interfaces::msg::Time;
 use dermis_msgs::geometry_msgs::msg::{
@@ -21,11 +23,12 @@ use dermis_skin::{Stamp, Surface};
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
 use crate::LearnError;
+use crate::dataset::{FromBag, Gathered, Track, check_late};
 use crate::findings::Findings;
 
 pub use file::{Carrier, ContactRule, Exerted, ForceSide, Join, LabelMap, Mount, RobotSide, SkinSide};
 pub use label::Bias;
-pub(crate) use label::label;
+pub(crate) use label::Labeller;
 
 impl Mount {
     fn isometry(&self) -> Isometry3<f64> {
@@ -123,6 +126,12 @@ impl Sampled for Isometry3<f64> {
     }
 }
 
+/// A rig's readings in order of their stamps, one for each.
+pub(crate) struct Tracks {
+    poses: Track<Isometry3<f64>>,
+    forces: Track<Vector3<f64>>,
+}
+
 /// Value at `stamp` between the two readings around it, where these are no more than `max_gap` \[ns\] apart.
 fn at<T: Sampled>(samples: &[(Stamp, T)], stamp: Stamp, max_gap: i64) -> Option<T> {
     let after = samples.partition_point(|(t, _)| *t < stamp);
@@ -138,8 +147,8 @@ fn at<T: Sampled>(samples: &[(Stamp, T)], stamp: Stamp, max_gap: i64) -> Option<
 /// What a bag says on a rig's topics.
 #[derive(Debug, Default)]
 pub(crate) struct Readings {
-    poses: Vec<(Stamp, Isometry3<f64>)>,
-    forces: Vec<(Stamp, Vector3<f64>)>,
+    poses: Gathered<Isometry3<f64>>,
+    forces: Gathered<Vector3<f64>>,
     unstamped: [u64; 2],
     broken: [u64; 2],
     tools: std::collections::BTreeSet<String>,
@@ -147,6 +156,11 @@ pub(crate) struct Readings {
 }
 
 impl Readings {
+    /// Holds no reading, but finds out how they lie.
+    pub(crate) fn streamed() -> Self {
+        Self { poses: Gathered::streamed(), forces: Gathered::streamed(), ..Self::default() }
+    }
+
     /// Takes a message of one of the map's topics.
     pub(crate) fn take(&mut self, map: &LabelMap, message: &BagMessage) -> Result<(), LearnError> {
         let topic = &*message.topic;
@@ -164,7 +178,7 @@ impl Readings {
             if stamp == 0 {
                 self.unstamped[1] += 1;
             } else if force.iter().all(|v| v.is_finite()) {
-                self.forces.push((stamp + (map.force.time_offset * 1e9) as i64, force));
+                self.forces.push(stamp + (map.force.time_offset * 1e9) as i64, force);
             } else {
                 self.broken[1] += 1;
             }
@@ -192,20 +206,50 @@ impl Readings {
         self.tools.insert(message.child_frame_id.clone());
         self.bases.insert(message.header.frame_id.clone());
         let pose = Isometry3::from_parts(place.into(), UnitQuaternion::from_quaternion(quaternion));
-        self.poses.push((stamp + (map.robot.time_offset * 1e9) as i64, pose));
+        self.poses.push(stamp + (map.robot.time_offset * 1e9) as i64, pose);
     }
 
     /// First and last stamp of what tells a force.
     pub(crate) fn span(&self) -> Option<(Stamp, Stamp)> {
-        self.forces.iter().map(|(t, _)| *t).min().zip(self.forces.iter().map(|(t, _)| *t).max())
+        self.forces.span()
     }
 
-    /// Brings both into order, and says what is wrong with them.
-    fn check(&mut self, map: &LabelMap, place: &str, findings: &mut Findings) {
-        self.poses.sort_by_key(|(t, _)| *t);
-        self.poses.dedup_by_key(|(t, _)| *t);
-        self.forces.sort_by_key(|(t, _)| *t);
-        self.forces.dedup_by_key(|(t, _)| *t);
+    /// Brings both into order, and says what is wrong with them. Where they are not held, they are read anew from `bag`.
+    pub(crate) fn tracks(
+        self,
+        map: &LabelMap,
+        bag: &BagReader,
+        place: &str,
+        findings: &mut Findings,
+    ) -> Tracks {
+        self.check(map, place, findings);
+        let poses = Self::from_bag(map, bag, &map.robot.topic, |readings| readings.poses.take());
+        let forces = Self::from_bag(map, bag, &map.force.topic, |readings| readings.forces.take());
+        Tracks { poses: self.poses.into_track(true, poses), forces: self.forces.into_track(true, forces) }
+    }
+
+    /// How one side is read anew.
+    fn from_bag<T: 'static>(
+        map: &LabelMap,
+        bag: &BagReader,
+        topic: &str,
+        side: fn(&mut Self) -> Vec<(Stamp, T)>,
+    ) -> FromBag<T> {
+        let map = map.clone();
+        FromBag {
+            bag: bag.clone(),
+            filter: Filter::default().topics([topic]),
+            take: Arc::new(move |message, order| {
+                let mut readings = Self::default();
+                readings.take(&map, message)?;
+                side(&mut readings).into_iter().for_each(|(stamp, reading)| order.push(stamp, reading));
+                Ok(())
+            }),
+        }
+    }
+
+    /// Says what is wrong with both.
+    fn check(&self, map: &LabelMap, place: &str, findings: &mut Findings) {
         let sides =
             [("robot", &map.robot.topic, self.poses.len()), ("force", &map.force.topic, self.forces.len())];
         for (i, (side, topic, left)) in sides.into_iter().enumerate() {
@@ -223,6 +267,12 @@ impl Readings {
                     "they are left out",
                 );
             }
+            check_late(
+                [self.poses.late(), self.forces.late()][i],
+                &format!("messages on {topic}"),
+                place,
+                findings,
+            );
             if left == 0 && self.unstamped[i] == 0 {
                 let tools = quoted(&self.tools);
                 let what = match (&map.robot.tool, i, self.tools.is_empty()) {

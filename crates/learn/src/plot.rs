@@ -7,7 +7,7 @@ use std::fmt::Write as _;
 
 use dermis_figures::{Axes, Curve, Dots, RGBColor, Segment, dots, escape, figure, histogram, page, segments};
 
-use crate::dataset::{Dataset, Truth};
+use crate::dataset::{Dataset, Run, Truth};
 use crate::evaluate::Evaluation;
 use crate::metrics::Answer;
 use crate::{LearnError, SplitConfig, card};
@@ -118,10 +118,10 @@ impl Report {
                 "<tr><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td></tr>",
                 escape(&run.path.file_name().unwrap_or_default().to_string_lossy()),
                 escape(&run.session),
-                run.samples.len(),
+                frames(run),
                 run.samples.iter().filter(|s| s.truth.is_some()).count(),
                 run.lost,
-                run.samples.iter().filter(|s| s.tare).count(),
+                run.tares(),
                 noise.map_or_else(|| "unknown".to_owned(), |n| format!("{n:.3}")),
                 bias.unwrap_or_else(|| "ground truth is ours".to_owned()),
             );
@@ -152,6 +152,14 @@ impl Report {
     #[must_use]
     pub fn html(&self) -> String {
         page(&self.title, &self.body)
+    }
+}
+
+/// How many frames a run has, and how many of them are used where those are fewer.
+fn frames(run: &Run) -> String {
+    match (run.frames(), run.samples.len()) {
+        (all, used) if used < all => format!("{all} ({used} used)"),
+        (all, _) => all.to_string(),
     }
 }
 

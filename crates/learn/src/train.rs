@@ -24,6 +24,7 @@ mod measure;
 mod network;
 mod prepare;
 mod processor;
+mod rows;
 mod run;
 #[cfg(feature = "train")]
 mod run_conv;

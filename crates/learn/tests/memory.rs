@@ -1,4 +1,4 @@
-//! What a data set takes in memory: an index of so many bytes a frame and a true contact, and no readings.
+//! What a data set takes in memory: an index of so many bytes a frame and a true contact, of so many frames at most, and no readings.
 #![expect(clippy::unwrap_used, reason = "a test whose preparation fails should fail")]
 
 use std::alloc::{GlobalAlloc, Layout, System};
@@ -57,11 +57,10 @@ tare_duration = 0.03
         .read()
 }
 
-fn bag(dir: &Path, skin: &SkinDescription, frames: usize, labelled: usize) -> PathBuf {
-    let path = dir.join(format!("bag-{frames}-{labelled}"));
-    // A reader holds one chunk, which must not hide what frames take.
+fn bag(dir: &Path, skin: &SkinDescription, (frames, labelled): (usize, usize), chunk: u64) -> PathBuf {
+    let path = dir.join(format!("bag-{frames}-{labelled}-{chunk}"));
     let mut options = BagOptions::default();
-    options.chunk_bytes = 32 << 10;
+    options.chunk_bytes = chunk;
     let mut writer = BagWriter::create_with(&path, &options).unwrap();
     for k in 0..frames {
         let stamp = BEGIN + k as i64 * STEP;
@@ -93,11 +92,18 @@ fn bag(dir: &Path, skin: &SkinDescription, frames: usize, labelled: usize) -> Pa
 
 /// Bytes that a bag's data set takes once it is read, and most that lived at the same time while it was read.
 fn taken(path: &Path, skin: &SkinDescription, memory: usize) -> [usize; 2] {
+    taken_by(path, skin, &DatasetOptions { memory, ..options() })
+}
+
+fn options() -> DatasetOptions {
+    // Less than a frame: the first one without ground truth must not borrow that of the last.
+    DatasetOptions { tolerance: Some(0.004), ..DatasetOptions::default() }
+}
+
+fn taken_by(path: &Path, skin: &SkinDescription, options: &DatasetOptions) -> [usize; 2] {
     let before = NOW.load(Ordering::Relaxed);
     MOST.store(before, Ordering::Relaxed);
-    // Less than a frame: the first one without ground truth must not borrow that of the last.
-    let options = DatasetOptions { memory, tolerance: Some(0.004), ..DatasetOptions::default() };
-    let data = Dataset::from_bags(&[path], skin, &options).unwrap();
+    let data = Dataset::from_bags(&[path], skin, options).unwrap();
     let taken = [&NOW, &MOST].map(|bytes| bytes.load(Ordering::Relaxed) - before);
     drop(data);
     taken
@@ -105,7 +111,7 @@ fn taken(path: &Path, skin: &SkinDescription, memory: usize) -> [usize; 2] {
 
 /// Most that lived while inputs were made of the frames that have ground truth.
 fn most_for_inputs(path: &Path, skin: &SkinDescription) -> usize {
-    let options = DatasetOptions { memory: 0, tolerance: Some(0.004), ..DatasetOptions::default() };
+    let options = DatasetOptions { memory: 0, ..options() };
     let data = Dataset::from_bags(&[path], skin, &options).unwrap();
     let config = FeatureConfig::newest(vec![0.0; CHANNELS], vec![1.0; CHANNELS]);
     let before = NOW.load(Ordering::Relaxed);
@@ -122,8 +128,9 @@ fn a_frame_takes_its_entry_of_the_index() {
     let skin = skin();
     let (few, many) = (2_000, 8_000);
     let more = many - few;
-    let [short, long, full] =
-        [(few, LABELLED), (many, LABELLED), (many, many)].map(|(f, l)| bag(dir.path(), &skin, f, l));
+    // A reader holds one chunk, which must not hide what frames take.
+    let [short, long, full] = [(few, LABELLED), (many, LABELLED), (many, many)]
+        .map(|counts| bag(dir.path(), &skin, counts, 32 << 10));
     // The runtime's own caches.
     taken(&short, &skin, 0);
     // Texts with longer numbers, and the index of the bag's chunks.
@@ -135,10 +142,10 @@ fn a_frame_takes_its_entry_of_the_index() {
     println!("{of_short:?} {of_long:?} {of_full:?} bytes kept, and at most");
     // A frame is an entry of the index.
     assert!(of_long[0] - of_short[0] <= more * 72 + slack, "{of_short:?} {of_long:?}");
-    // While the bag is read, its stamp (8), label (40) and mark (32) lie beside that, the marks in a vector that doubles.
+    // While the bag is read, its mark (32) lies beside that, in a vector that doubles.
     let doubled = |n: usize| n.next_power_of_two();
     let marks = 32 * (doubled(many) - doubled(few));
-    assert!(of_long[1] - of_short[1] <= more * (72 + 8 + 40) + marks + slack, "{of_short:?} {of_long:?}");
+    assert!(of_long[1] - of_short[1] <= more * 72 + marks + slack, "{of_short:?} {of_long:?}");
     // Of a label, the contacts are more; while the bag is read, the message that it came of, and its contacts, lie beside that.
     let touched = (many - LABELLED) / 2;
     let messages = 48 * (doubled(many) - doubled(LABELLED));
@@ -151,4 +158,32 @@ fn a_frame_takes_its_entry_of_the_index() {
     assert!(of_long[0] + readings < held, "{of_long:?} streamed, {held} held");
     let inputs = [&short, &long].map(|path| most_for_inputs(path, &skin));
     assert!(inputs[1] <= inputs[0] + slack, "{inputs:?}");
+    long_bags_take_no_more(dir.path(), &skin);
+}
+
+/// Beyond the bound on frames, a bag of four times the length takes the same memory, within 3 percent: what is left is the index of
+/// the bag's chunks.
+fn long_bags_take_no_more(dir: &Path, skin: &SkinDescription) {
+    let most_frames = 500;
+    let [short, long] = [8_000, 32_000].map(|frames| bag(dir, skin, (frames, frames), 256 << 10));
+    let options = DatasetOptions { memory: 0, most_frames, ..options() };
+    let [of_short, of_long] = [&short, &long].map(|path| taken_by(path, skin, &options));
+    println!("{of_short:?} {of_long:?} bytes kept of thinned bags, and at most");
+    for (short, long) in of_short.into_iter().zip(of_long) {
+        assert!(long * 100 <= 103 * short, "{of_short:?} {of_long:?}");
+    }
+    // Of a frame, its entry, its contact, and a stretch of untouched ones; besides, the skin.
+    assert!(of_long[0] <= most_frames * (72 + 88 + 12) + (48 << 10), "{of_long:?}");
+    // So do the rows that networks are fitted to, and passes over the frames.
+    let config = FeatureConfig::newest(vec![0.0; CHANNELS], vec![1.0; CHANNELS]);
+    let passes = [&short, &long].map(|path| {
+        let data = Dataset::from_bags(&[path], skin, &options).unwrap();
+        let before = NOW.load(Ordering::Relaxed);
+        MOST.store(before, Ordering::Relaxed);
+        let (ids, rows) = data.inputs(&config, Baseline::Raw).unwrap();
+        assert!(ids.len() <= most_frames && rows.len() == ids.len() * CHANNELS);
+        MOST.load(Ordering::Relaxed) - before
+    });
+    println!("{passes:?} bytes at most while inputs are made");
+    assert!(passes[1] * 100 <= 103 * passes[0], "{passes:?}");
 }

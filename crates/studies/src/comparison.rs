@@ -33,7 +33,7 @@ use serde_json::json;
 
 use crate::evaluation::{split_of, unknowns};
 use crate::regressions::{self, Learned as Presses, Most};
-use crate::{Families, LeftOut, Progress, called};
+use crate::{Families, LeftOut, Progress, called, labelled};
 
 /// What to compare on what.
 #[derive(Debug, Clone, Args, Serialize, Deserialize)]
@@ -148,7 +148,7 @@ impl ContactFinder for Isolines {
 pub fn compare(options: &Request, families: &Families, progress: &dyn Progress) -> Result<Findings> {
     let skin = SkinDescription::load(&options.skin)?;
     let forward = families.model_of_file(&options.skin, &skin)?;
-    let data = Dataset::from_bags(&options.bags, &skin, &options.labels.options()?)?;
+    let data = labelled(&options.bags, &skin, &options.labels.options()?, progress)?;
     let split = split_of(&options.model[0])?.apply(&data)?;
     let least = options.bins.first().copied().context("`--bins` names no force")?;
     let clear = |id: &SampleId| {

@@ -21,7 +21,7 @@ use dermis_skin::{Estimator, SkinDescription};
 use serde::{Deserialize, Serialize, Serializer};
 use serde_json::json;
 
-use crate::{Families, LeftOut, Progress};
+use crate::{Families, LeftOut, Progress, labelled};
 
 use answers::Answers;
 pub use beside::BaselineComparison;
@@ -168,10 +168,7 @@ pub fn evaluate(options: &Request, families: &Families, progress: &dyn Progress)
     };
     let mut how = options.labels.options()?;
     how.tare_when_idle = !options.unattended;
-    let data = Dataset::from_bags(&options.bags, &skin, &how)?;
-    for notice in data.notices() {
-        progress.note(&notice);
-    }
+    let data = labelled(&options.bags, &skin, &how, progress)?;
     let split = match (options.held_out, options.split) {
         (true, _) => Some(split_of(&options.model[0])?),
         (false, Some(kind)) => Some(SplitConfig { kind, ..SplitConfig::default() }),

@@ -23,6 +23,7 @@ use std::sync::Arc;
 
 use anyhow::Result;
 use dermis_inference::{Runtime, RuntimeConfig};
+use dermis_learn::{Dataset, DatasetOptions};
 use dermis_model::ForwardModel;
 use dermis_sensor::{Registry, Sensor};
 use dermis_skin::{Estimator, SkinDescription};
@@ -115,6 +116,18 @@ impl std::fmt::Display for LeftOut {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "left out, {:.1} % of the touched frames: {}", self.share * 100.0, self.reason)
     }
+}
+
+/// Labelled bags; a note says what of them is left out.
+fn labelled(
+    bags: &[PathBuf],
+    skin: &SkinDescription,
+    options: &DatasetOptions,
+    progress: &dyn Progress,
+) -> Result<Dataset> {
+    let data = Dataset::from_bags(bags, skin, options)?;
+    data.notices().iter().for_each(|notice| progress.note(notice));
+    Ok(data)
 }
 
 /// What a bundle is called beside others: its folder.

@@ -28,7 +28,7 @@ use serde_json::json;
 use self::partial::{DONE, Done, interrupted, key};
 use self::prepare::prepare;
 use crate::evaluation::split_of;
-use crate::{Families, Progress};
+use crate::{Families, Progress, labelled};
 
 /// What to refine, and on what it is measured.
 #[derive(Debug, Clone, Args, Serialize, Deserialize)]
@@ -173,7 +173,7 @@ pub fn refine_bundle(options: &Request, families: &Families, bar: &dyn Progress)
         check_kind(&Bundle::load(&options.model, &skin)?, options.invert)?;
     }
     bar.begin("reading what was recorded");
-    let data = Dataset::from_bags(&options.bags, &skin, &options.labels.options()?)?;
+    let data = labelled(&options.bags, &skin, &options.labels.options()?, bar)?;
     if let Some(settings) = to_make {
         make_without_network(&options.model, &skin, settings, &data)?;
     }

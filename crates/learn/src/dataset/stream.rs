@@ -3,7 +3,8 @@
 //! A data set does not hold the frames of its bags, unless they are few ([`DatasetOptions::memory`]): who needs readings
 //! reads the bag once more, in order of acquisition, and the zero is subtracted on the way as a node does it. Memory holds
 //! one frame and those that lie in the bag before it although they were acquired later; time is that of decoding the bag,
-//! once a pass.
+//! once a pass. Frames that are not in the index ([`Run::samples`]) come, too, because zero and history need them: without
+//! ground truth.
 //!
 //! Images are never held: who asks for them reads the bag. An image belongs to the frame of its stamp, on the topic `image`
 //! beside that of the frames.
@@ -22,6 +23,8 @@ use dermis_msgs::msg::TaxelFrame;
 use dermis_msgs::sensor_msgs::msg::Image as ImageMsg;
 use dermis_skin::{ChannelFlags, Frame, Image, ImageGrid, SkinDescription, Stamp, ZeroTracker};
 
+use super::index::{Indexer, Share};
+use super::order::InOrder;
 use super::truth::Truth;
 use super::{Run, SampleId};
 use crate::LearnError;
@@ -31,13 +34,18 @@ pub(super) const FEWEST_TARE_FRAMES: usize = 3;
 /// Images, and frames, that are read ahead of their counterparts: they may be recorded in either order.
 const AHEAD: usize = 64;
 
-/// What stays in memory of every frame: when it was acquired and what was true, but no reading.
+/// Combinations of flags that frames share; of skins whose flags are noise, further ones are there several times.
+const MOST_FLAGS: usize = 4096;
+
+/// What stays in memory of a frame: when it was acquired and what was true, but no reading.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FrameInfo {
     /// When it was acquired.
     pub stamp: Stamp,
     /// Whether the zero is taken anew from this frame on: the first of an idle stretch that is long enough.
     pub tare: bool,
+    /// Its number in the run, in order of acquisition, from 0: [`SampleId::sample`].
+    pub number: u32,
     /// One entry a channel. Frames of like flags share them.
     pub flags: Arc<[ChannelFlags]>,
     /// `None` for a frame without ground truth; it still feeds history.
@@ -58,7 +66,7 @@ pub struct Sample {
     pub image_tared: Vec<f32>,
     /// Whether the zero is taken anew from this frame on: the first of an idle stretch that is long enough.
     pub tare: bool,
-    /// `None` for a frame without ground truth; it still feeds history.
+    /// `None` for a frame without ground truth, or outside of the index; it still feeds history.
     pub truth: Option<Truth>,
 }
 
@@ -104,8 +112,19 @@ pub(super) struct BagFrames {
     pub(super) topic: Option<String>,
     /// Topic of their images, where there is one.
     pub(super) images: Option<String>,
-    /// Place in time of every frame of the bag; `None` where they lie in order.
-    pub(super) ranks: Option<Arc<Vec<u32>>>,
+    pub(super) order: BagOrder,
+}
+
+/// How frames get into the order of acquisition.
+#[derive(Debug, Clone, Default)]
+pub(super) enum BagOrder {
+    /// They lie in it.
+    #[default]
+    Stored,
+    /// By the place in time of every frame of the bag.
+    Ranks(Arc<Vec<u32>>),
+    /// By a window of so many; those that come too late for it are left out.
+    Window(usize),
 }
 
 /// The frames of a run, in order of acquisition, with their zero subtracted.
@@ -114,27 +133,60 @@ pub struct Samples<'a> {
     frames: Frames<'a>,
     zero: ZeroTracker,
     grid: Option<ImageGrid>,
+    /// Number of the next frame, and where it, or the next one that is in it, is in the index.
     next: usize,
+    indexed: usize,
+    /// Where [`Between::of_frame`](super::index::Between::of_frame) is.
+    stretch: usize,
 }
 
-enum Frames<'a> {
+/// The frames of a run, in order of acquisition.
+pub(super) enum Frames<'a> {
     Held(std::slice::Iter<'a, Frame>),
     Bag(Box<Reading<'a>>),
 }
 
+impl<'a> Frames<'a> {
+    pub(super) fn open(path: &'a Path, source: &'a Source, images: bool) -> Result<Self, LearnError> {
+        let Source { held, bag } = source;
+        let in_bag = bag.as_ref().filter(|of| held.is_none() || (images && of.images.is_some()));
+        Ok(match (in_bag, held) {
+            (Some(of), _) => Self::Bag(Box::new(Reading::open(path, of, images)?)),
+            (None, held) => Self::Held(held.as_ref().map_or(&[][..], |frames| frames.as_slice()).iter()),
+        })
+    }
+
+    /// The frame with this number, which is the next one, without its image.
+    pub(super) fn next(&mut self, number: usize) -> Result<Frame, LearnError> {
+        match self {
+            Self::Held(frames) => Ok(frames.next().cloned().unwrap_or_default()),
+            Self::Bag(reading) => reading.frame(number),
+        }
+    }
+}
+
 /// A bag that is being read.
-struct Reading<'a> {
+pub(super) struct Reading<'a> {
     path: &'a Path,
     of: &'a BagFrames,
     messages: Messages,
     /// Frames of the bag that were read.
     read: usize,
-    /// Frames that were read before it was their turn, by their place in time.
-    early: BTreeMap<usize, Frame>,
+    /// Frames that were read before it was their turn.
+    early: Early,
+    /// Whether all was read.
+    ended: bool,
     /// Topic of the images that are read, where any are.
     image_topic: Option<&'a str>,
     /// Images that were read and belong to no frame so far.
     images: BTreeMap<Stamp, Image>,
+}
+
+/// Frames that wait for their turn.
+enum Early {
+    /// By their place in time.
+    Ranked(BTreeMap<usize, Frame>),
+    Window(InOrder<Frame>),
 }
 
 impl<'a> Reading<'a> {
@@ -147,12 +199,25 @@ impl<'a> Reading<'a> {
             filter = filter.topics([topic].into_iter().chain(images).cloned());
         }
         let messages = BagReader::open(path)?.messages_where(filter);
-        Ok(Self { path, of, messages, read: 0, early: BTreeMap::new(), image_topic, images: BTreeMap::new() })
+        let early = match &of.order {
+            BagOrder::Stored | BagOrder::Ranks(_) => Early::Ranked(BTreeMap::new()),
+            BagOrder::Window(window) => Early::Window(InOrder::new(*window)),
+        };
+        let images = BTreeMap::new();
+        Ok(Self { path, of, messages, read: 0, early, ended: false, image_topic, images })
+    }
+
+    /// Images, and frames, that may be read ahead of their counterparts.
+    fn ahead(&self) -> usize {
+        AHEAD + if let Early::Window(order) = &self.early { order.window() } else { 0 }
     }
 
     /// Reads one message; `false` at the end of the bag.
     fn advance(&mut self) -> Result<bool, LearnError> {
-        let Some(message) = self.messages.next().transpose()? else { return Ok(false) };
+        let Some(message) = self.messages.next().transpose()? else {
+            self.ended = true;
+            return Ok(false);
+        };
         if *message.type_name == *ImageMsg::TYPE_NAME {
             if self.image_topic.is_some_and(|topic| *topic == *message.topic) {
                 let image: ImageMsg = message.decode()?;
@@ -160,7 +225,7 @@ impl<'a> Reading<'a> {
                     || LearnError::Image { bag: self.path.to_owned(), encoding: image.encoding.clone() };
                 let seen = Image::from_message(&image).ok_or_else(unknown)?;
                 self.images.insert(image.header.stamp.as_nanos(), seen);
-                if self.images.len() > AHEAD {
+                if self.images.len() > self.ahead() {
                     self.images.pop_first();
                 }
             }
@@ -171,12 +236,17 @@ impl<'a> Reading<'a> {
         }
         let frame: TaxelFrame = message.decode()?;
         if frame.skin == self.of.instance && frame.header.stamp.as_nanos() != 0 {
-            let rank = match &self.of.ranks {
-                None => Some(self.read),
-                Some(ranks) => ranks.get(self.read).map(|r| *r as usize),
+            let frame = Frame::from(&frame);
+            let rank = match &self.of.order {
+                BagOrder::Ranks(ranks) => ranks.get(self.read).map(|r| *r as usize),
+                BagOrder::Stored | BagOrder::Window(_) => Some(self.read),
             };
+            let rank = rank.ok_or_else(|| self.changed())?;
             self.read += 1;
-            self.early.insert(rank.ok_or_else(|| self.changed())?, Frame::from(&frame));
+            match &mut self.early {
+                Early::Ranked(early) => drop(early.insert(rank, frame)),
+                Early::Window(order) => order.push(frame.stamp, frame),
+            }
         }
         Ok(true)
     }
@@ -184,12 +254,17 @@ impl<'a> Reading<'a> {
     /// The frame with this place in time.
     fn frame(&mut self, place: usize) -> Result<Frame, LearnError> {
         loop {
-            if let Some(frame) = self.early.remove(&place) {
+            let next = match &mut self.early {
+                Early::Ranked(early) => early.remove(&place),
+                Early::Window(order) => order.pop(self.ended).map(|(_, frame)| frame),
+            };
+            if let Some(frame) = next {
                 return Ok(frame);
             }
-            if !self.advance()? {
+            if self.ended {
                 return Err(self.changed());
             }
+            self.advance()?;
         }
     }
 
@@ -199,7 +274,11 @@ impl<'a> Reading<'a> {
             if let Some(image) = self.images.remove(&stamp) {
                 return Ok(Some(image));
             }
-            if self.early.len() >= AHEAD || !self.advance()? {
+            let waiting = match &self.early {
+                Early::Ranked(early) => early.len(),
+                Early::Window(order) => order.len(),
+            };
+            if waiting >= self.ahead() || !self.advance()? {
                 return Ok(None);
             }
         }
@@ -221,30 +300,29 @@ pub(super) struct Images {
 
 impl<'a> Samples<'a> {
     pub(super) fn new(run: &'a Run, skin: &SkinDescription, images: Images) -> Result<Self, LearnError> {
-        let Source { held, bag } = &run.source;
-        let in_bag = bag.as_ref().filter(|of| held.is_none() || (images.read && of.images.is_some()));
-        let frames = match (in_bag, held) {
-            (Some(of), _) => Frames::Bag(Box::new(Reading::open(&run.path, of, images.read)?)),
-            (None, held) => Frames::Held(held.as_ref().map_or(&[][..], |frames| frames.as_slice()).iter()),
-        };
+        let frames = Frames::open(&run.path, &run.source, images.read)?;
         let mut zero = ZeroTracker::labelled(skin);
         zero.set_image(images.grid.map_or(0, |grid| grid.numbers()));
-        Ok(Self { run, frames, zero, grid: images.grid, next: 0 })
+        Ok(Self { run, frames, zero, grid: images.grid, next: 0, indexed: 0, stretch: 0 })
     }
 
-    fn sample(&mut self, info: &FrameInfo) -> Result<Sample, LearnError> {
-        let frame = match &mut self.frames {
-            Frames::Held(frames) => frames.next().cloned().unwrap_or_default(),
-            Frames::Bag(reading) => {
-                let mut frame = reading.frame(self.next)?;
-                if frame.stamp != info.stamp {
-                    return Err(reading.changed());
-                }
-                if reading.image_topic.is_some() {
-                    frame.image = reading.image(frame.stamp)?;
-                }
-                frame
+    fn sample(&mut self) -> Result<Sample, LearnError> {
+        let run = self.run;
+        let info = run.samples.get(self.indexed).filter(|info| info.number as usize == self.next);
+        self.indexed += usize::from(info.is_some());
+        let mut frame = self.frames.next(self.next)?;
+        if let Frames::Bag(reading) = &mut self.frames {
+            if info.is_some_and(|info| info.stamp != frame.stamp) {
+                return Err(reading.changed());
             }
+            if reading.image_topic.is_some() {
+                frame.image = reading.image(frame.stamp)?;
+            }
+        }
+        let (tare, untouched) = match (info, &run.between) {
+            (Some(info), _) => (info.tare, info.truth.as_ref().is_some_and(|t| !t.touched())),
+            (None, Some(between)) => between.of_frame(self.next, &mut self.stretch),
+            (None, None) => (false, false),
         };
         let mut image = Vec::new();
         if let Some(grid) = &self.grid {
@@ -254,11 +332,11 @@ impl<'a> Samples<'a> {
                 grid.reduce(seen, &mut image).map_err(unfit)?;
             }
         }
-        if info.tare {
+        if tare {
             self.zero.reset();
         }
         // What is not known to be untouched must not move the zero.
-        self.zero.push_with(&frame, &image, info.truth.as_ref().is_none_or(Truth::touched));
+        self.zero.push_with(&frame, &image, !untouched);
         let mut tared = frame.clone();
         self.zero.subtract(&mut tared);
         let mut image_tared = Vec::new();
@@ -268,8 +346,8 @@ impl<'a> Samples<'a> {
             tared: tared.values,
             image,
             image_tared,
-            tare: info.tare,
-            truth: info.truth.clone(),
+            tare,
+            truth: info.and_then(|info| info.truth.clone()),
         })
     }
 }
@@ -278,10 +356,13 @@ impl Iterator for Samples<'_> {
     type Item = Result<Sample, LearnError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        let run = self.run;
-        let sample = self.sample(run.samples.get(self.next)?);
+        let frames = self.run.frames();
+        if self.next >= frames {
+            return None;
+        }
+        let sample = self.sample();
         // After an error there is nothing more to come.
-        self.next = if sample.is_ok() { self.next + 1 } else { run.samples.len() };
+        self.next = if sample.is_ok() { self.next + 1 } else { frames };
         Some(sample)
     }
 }
@@ -297,15 +378,41 @@ impl Run {
         tare_when_idle: bool,
     ) -> Self {
         let mut flags = SharedFlags::default();
-        let marks = frames.iter().map(|f| (f.stamp, flags.share(&f.flags))).collect();
-        let samples = infos(marks, labels, skin, tare_when_idle);
+        let tare_after = tare_when_idle.then_some(skin.condition.tare_duration);
+        let mut index = Indexer::new(Share::ALL, tare_after, frames.len());
+        for (frame, label) in frames.iter().zip(labels) {
+            index.push(frame.stamp, flags.share(&frame.flags), label);
+        }
+        let (samples, between, _) = index.finish();
         let source = Source { held: Some(Arc::new(frames)), bag: None };
-        Self { path, session, hash, samples, lost: 0, bias: None, source }
+        Self { path, session, hash, samples, lost: 0, bias: None, between, source }
+    }
+
+    /// How many frames it has, whether they are in [`samples`](Self::samples) or not: as many as [`Dataset::stream`] gives.
+    ///
+    /// [`Dataset::stream`]: super::Dataset::stream
+    #[must_use]
+    pub fn frames(&self) -> usize {
+        self.between.as_ref().map_or(self.samples.len(), |between| between.frames)
+    }
+
+    /// Of so many frames, one is in [`samples`](Self::samples): 1 where all of them are.
+    #[must_use]
+    pub fn every(&self) -> usize {
+        self.between.as_ref().map_or(1, |between| between.every)
+    }
+
+    /// How often the zero is taken anew ([`Sample::tare`]).
+    #[must_use]
+    pub fn tares(&self) -> usize {
+        let indexed = || self.samples.iter().filter(|s| s.tare).count();
+        self.between.as_ref().map_or_else(indexed, |between| between.tares())
     }
 }
 
 impl super::Dataset {
-    /// The frames of one run, read anew, without the images of a camera; none where there is no such run.
+    /// The frames of one run, read anew, without the images of a camera; none where there is no such run. All of them come in order,
+    /// so that the n-th has the [`SampleId::sample`] n; those outside of [`Run::samples`] have no ground truth.
     ///
     /// # Errors
     ///
@@ -382,36 +489,11 @@ impl SharedFlags {
         if let Some(known) = self.0.get(flags) {
             return Arc::clone(known);
         }
+        if self.0.len() >= MOST_FLAGS {
+            self.0.clear();
+        }
         let new: Arc<[ChannelFlags]> = flags.into();
         self.0.insert(Arc::clone(&new));
         new
     }
-}
-
-/// Says where the zero is taken anew. Frames are in order of their stamps, with a label each.
-pub(super) fn infos(
-    frames: Vec<(Stamp, Arc<[ChannelFlags]>)>,
-    labels: Vec<Option<Truth>>,
-    skin: &SkinDescription,
-    tare_when_idle: bool,
-) -> Vec<FrameInfo> {
-    let mut infos: Vec<FrameInfo> = frames
-        .into_iter()
-        .zip(labels)
-        .map(|((stamp, flags), truth)| FrameInfo { stamp, tare: false, flags, truth })
-        .collect();
-    if !tare_when_idle {
-        return infos;
-    }
-    let idle = |info: &FrameInfo| info.truth.as_ref().is_some_and(|t| t.idle);
-    let mut k = 0;
-    while k < infos.len() {
-        let count = infos[k..].iter().take_while(|i| idle(i)).count();
-        if let Some(last) = count.checked_sub(1) {
-            let lasts = infos[k + last].stamp.saturating_sub(infos[k].stamp) as f64 * 1e-9;
-            infos[k].tare = count >= FEWEST_TARE_FRAMES && lasts >= skin.condition.tare_duration;
-        }
-        k += count.max(1);
-    }
-    infos
 }

@@ -12,6 +12,8 @@ use dermis_msgs::std_msgs::msg::Header;
 use super::read::truth_at;
 use super::*;
 
+mod thinned;
+
 pub(crate) const STEP: i64 = 10_000_000;
 
 fn file() -> SkinFile {

@@ -4,8 +4,9 @@ use dermis_skin::{ForceComponents, SkinDescription, Stamp, Surface};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use serde::Serialize;
 
-use super::{LabelMap, Locations, Readings, at};
-use crate::dataset::{Truth, TruthContact};
+use super::{LabelMap, Locations, Tracks, at};
+use crate::LearnError;
+use crate::dataset::{Sparse, Truth, TruthContact};
 use crate::findings::Findings;
 
 /// What the rig's force sensor does when nothing touches.
@@ -22,64 +23,80 @@ pub struct Bias {
 /// Readings without contact that a bias is taken of at least.
 const FEWEST_FREE: usize = 5;
 
+/// Readings without contact that one bias is taken of at most where readings are not held: a minute at 1 kHz.
+const MOST_FREE: usize = 60_000;
+
 /// Offset of the force sensor over time: a mean for each stretch in which the tip is away.
 struct Offsets {
-    stretches: Vec<(Stamp, Vector3<f64>)>,
+    stretches: Sparse<(Stamp, Vector3<f64>)>,
+    /// Stretches, those between the ones that are kept too.
+    count: usize,
     squares: f64,
     readings: usize,
 }
 
 impl Offsets {
-    /// Measured wherever the tip is away from the surface.
-    fn of(readings: &Readings, map: &LabelMap, surface: &Surface) -> Self {
-        let max_gap = map.max_gap();
-        let away: Vec<bool> = readings
-            .forces
-            .iter()
-            .map(|(t, _)| {
-                at(&readings.poses, *t, max_gap)
-                    .is_some_and(|tool| approach(map, surface, &tool).gap >= map.contact.clearance)
-            })
-            .collect();
-        Self::measure(&readings.forces, &away)
+    /// Measured wherever the tip is away from the surface. At most `bound` stretches are kept, evenly spread.
+    fn of(
+        tracks: &mut Tracks,
+        map: &LabelMap,
+        surface: &Surface,
+        bound: Option<usize>,
+    ) -> Result<Self, LearnError> {
+        let Tracks { poses, forces } = tracks;
+        let mut offsets =
+            Self { stretches: Sparse::new(bound.unwrap_or(usize::MAX)), count: 0, squares: 0.0, readings: 0 };
+        let longest = if forces.is_streamed() { MOST_FREE } else { usize::MAX };
+        let mut stretch: Vec<(Stamp, Vector3<f64>)> = Vec::new();
+        for reading in forces.all() {
+            let (stamp, force) = reading?;
+            let away = at(poses.around(stamp)?, stamp, map.max_gap())
+                .is_some_and(|tool| approach(map, surface, &tool).gap >= map.contact.clearance);
+            if away {
+                stretch.push((stamp, force));
+            }
+            if !away || stretch.len() >= longest {
+                offsets.take(&stretch);
+                stretch.clear();
+            }
+        }
+        offsets.take(&stretch);
+        poses.rewind();
+        Ok(offsets)
     }
 
-    fn measure(forces: &[(Stamp, Vector3<f64>)], away: &[bool]) -> Self {
-        let mut offsets = Self { stretches: Vec::new(), squares: 0.0, readings: 0 };
-        let mut k = 0;
-        while k < forces.len() {
-            let end = (k..forces.len()).find(|&i| !away[i]).unwrap_or(forces.len());
-            let stretch = &forces[k..end];
-            if stretch.len() >= FEWEST_FREE {
-                let mean = stretch.iter().map(|(_, f)| f).sum::<Vector3<f64>>() / stretch.len() as f64;
-                offsets.squares += stretch.iter().map(|(_, f)| (f - mean).norm_squared()).sum::<f64>();
-                offsets.readings += stretch.len();
-                offsets.stretches.push((stretch[stretch.len() / 2].0, mean));
-            }
-            k = end.max(k + 1);
+    /// Takes a stretch without contact.
+    fn take(&mut self, stretch: &[(Stamp, Vector3<f64>)]) {
+        if stretch.len() >= FEWEST_FREE {
+            let mean = stretch.iter().map(|(_, f)| f).sum::<Vector3<f64>>() / stretch.len() as f64;
+            self.squares += stretch.iter().map(|(_, f)| (f - mean).norm_squared()).sum::<f64>();
+            self.readings += stretch.len();
+            self.count += 1;
+            self.stretches.push((stretch[stretch.len() / 2].0, mean));
         }
-        offsets
     }
 
     fn at(&self, stamp: Stamp) -> Vector3<f64> {
-        let (Some(first), Some(last)) = (self.stretches.first(), self.stretches.last()) else {
+        let stretches = self.stretches.list();
+        let (Some(first), Some(last)) = (stretches.first(), stretches.last()) else {
             return Vector3::zeros();
         };
         let held = if stamp <= first.0 { first.1 } else { last.1 };
-        at(&self.stretches, stamp, i64::MAX).unwrap_or(held)
+        at(stretches, stamp, i64::MAX).unwrap_or(held)
     }
 
     fn figures(&self) -> Bias {
-        let count = self.stretches.len().max(1) as f64;
-        let mean = self.stretches.iter().map(|(_, m)| m).sum::<Vector3<f64>>() / count;
-        let free = (3 * (self.readings.saturating_sub(self.stretches.len()))).max(1) as f64;
-        Bias { stretches: self.stretches.len(), mean: mean.into(), noise: (self.squares / free).sqrt() }
+        let stretches = self.stretches.list();
+        let count = stretches.len().max(1) as f64;
+        let mean = stretches.iter().map(|(_, m)| m).sum::<Vector3<f64>>() / count;
+        let free = (3 * (self.readings.saturating_sub(self.count))).max(1) as f64;
+        Bias { stretches: self.count, mean: mean.into(), noise: (self.squares / free).sqrt() }
     }
 
     /// Says whether the offset is unknown, or too noisy for the rule of contacts.
     fn check(&self, map: &LabelMap, place: &str, findings: &mut Findings) {
         let clearance = map.contact.clearance * 1e3;
-        if self.stretches.is_empty() && map.force.remove_bias {
+        if self.count == 0 && map.force.remove_bias {
             findings.fatal(
                 place,
                 format!(
@@ -127,11 +144,11 @@ fn approach(map: &LabelMap, surface: &Surface, tool: &Isometry3<f64>) -> Approac
 }
 
 /// Labels frames in order of their stamps.
-struct Labeller<'a> {
+pub(crate) struct Labeller<'a> {
     map: &'a LabelMap,
-    readings: &'a Readings,
-    surface: &'a Surface,
-    offsets: &'a Offsets,
+    tracks: Tracks,
+    surface: Surface,
+    offsets: Offsets,
     locations: &'a mut Locations,
     /// From the axes of the base to those of the skin's link.
     to_link: UnitQuaternion<f64>,
@@ -146,17 +163,56 @@ struct Labeller<'a> {
     beside: usize,
 }
 
-impl Labeller<'_> {
+impl<'a> Labeller<'a> {
+    /// Measures the force sensor's bias; `None` where something is in the way. Where readings are not held, `bound` is how many stretches
+    /// without contact the bias is kept of.
+    pub(crate) fn new(
+        mut tracks: Tracks,
+        map: &'a LabelMap,
+        skin: &SkinDescription,
+        (locations, bound): (&'a mut Locations, Option<usize>),
+        place: &str,
+        findings: &mut Findings,
+    ) -> Result<Option<Self>, LearnError> {
+        if findings.is_fatal() {
+            return Ok(None);
+        }
+        let surface = skin.surface();
+        let offsets = Offsets::of(&mut tracks, map, &surface, bound)?;
+        offsets.check(map, place, findings);
+        if findings.is_fatal() {
+            return Ok(None);
+        }
+        Ok(Some(Self {
+            map,
+            tracks,
+            surface,
+            offsets,
+            locations,
+            to_link: map.skin.pose.isometry().rotation.inverse(),
+            touched: false,
+            press: 0,
+            location: 0,
+            elsewhere: 0,
+            beside: 0,
+        }))
+    }
+
     /// What is true of the frame with this stamp; `None` where the rig does not tell.
-    fn label(&mut self, stamp: Stamp) -> Option<Truth> {
-        let (map, max_gap) = (self.map, self.map.max_gap());
-        let (Some(tool), Some(raw)) =
-            (at(&self.readings.poses, stamp, max_gap), at(&self.readings.forces, stamp, max_gap))
-        else {
-            self.touched = false;
-            return None;
-        };
-        let tip = approach(map, self.surface, &tool);
+    /// From call to call, stamps must not become less.
+    pub(crate) fn label(&mut self, stamp: Stamp) -> Result<Option<Truth>, LearnError> {
+        let max_gap = self.map.max_gap();
+        let tool = at(self.tracks.poses.around(stamp)?, stamp, max_gap);
+        let force = at(self.tracks.forces.around(stamp)?, stamp, max_gap);
+        let truth = tool.zip(force).map(|(tool, force)| self.truth(stamp, &tool, force));
+        self.touched &= truth.is_some();
+        Ok(truth.flatten())
+    }
+
+    /// What is true at `stamp` by the pose of the tool and the reading of the force sensor.
+    fn truth(&mut self, stamp: Stamp, tool: &Isometry3<f64>, raw: Vector3<f64>) -> Option<Truth> {
+        let map = self.map;
+        let tip = approach(map, &self.surface, tool);
         let bias = if map.force.remove_bias { self.offsets.at(stamp) } else { Vector3::zeros() };
         let force = self.to_link * (map.sensor_axes(&tool.rotation) * (raw - bias)) * map.sign();
         let pressing = -force.dot(&tip.normal);
@@ -186,54 +242,27 @@ impl Labeller<'_> {
         };
         Some(Truth { press: self.press, location: self.location, idle: false, contacts: vec![contact] })
     }
-}
 
-/// Ground truth of every frame, given by its stamp; `None` where the rig does not tell.
-pub(crate) fn label(
-    frames: &[Stamp],
-    readings: &mut Readings,
-    map: &LabelMap,
-    skin: &SkinDescription,
-    locations: &mut Locations,
-    place: &str,
-    findings: &mut Findings,
-) -> (Vec<Option<Truth>>, Option<Bias>) {
-    readings.check(map, place, findings);
-    if findings.is_fatal() {
-        return (vec![None; frames.len()], None);
+    /// \[s\] between two readings that are still interpolated.
+    pub(crate) fn tolerance(&self) -> f64 {
+        self.map.join.max_gap
     }
-    let surface = skin.surface();
-    let offsets = Offsets::of(readings, map, &surface);
-    offsets.check(map, place, findings);
-    if findings.is_fatal() {
-        return (vec![None; frames.len()], None);
-    }
-    let mut labeller = Labeller {
-        map,
-        readings,
-        surface: &surface,
-        offsets: &offsets,
-        locations,
-        to_link: map.skin.pose.isometry().rotation.inverse(),
-        touched: false,
-        press: 0,
-        location: 0,
-        elsewhere: 0,
-        beside: 0,
-    };
-    let labels: Vec<Option<Truth>> = frames.iter().map(|stamp| labeller.label(*stamp)).collect();
-    let clearance = map.contact.clearance * 1e3;
-    for (count, what) in [
-        (labeller.elsewhere, format!("with the tip {clearance} mm or more away from the skin")),
-        (labeller.beside, "with the tip beyond the rim of the skin".to_owned()),
-    ] {
-        if count > 0 {
-            findings.notice(
-                place,
-                format!("in {count} of {} frames the force sensor feels a push {what}", frames.len()),
-                "they are not used; check robot.tip, skin.pose and the time offsets of the map",
-            );
+
+    /// Says in how many of the frames something else was pushed; what the force sensor does when nothing touches.
+    pub(crate) fn finish(self, frames: usize, place: &str, findings: &mut Findings) -> Bias {
+        let clearance = self.map.contact.clearance * 1e3;
+        for (count, what) in [
+            (self.elsewhere, format!("with the tip {clearance} mm or more away from the skin")),
+            (self.beside, "with the tip beyond the rim of the skin".to_owned()),
+        ] {
+            if count > 0 {
+                findings.notice(
+                    place,
+                    format!("in {count} of {frames} frames the force sensor feels a push {what}"),
+                    "they are not used; check robot.tip, skin.pose and the time offsets of the map",
+                );
+            }
         }
+        self.offsets.figures()
     }
-    (labels, Some(offsets.figures()))
 }

@@ -141,7 +141,7 @@ fn poses_may_come_as_one_of_many_transforms() {
     let single = record(dir.path(), &map, &act, |_, _, _| {});
     let path = dir.path().join("tf");
     let mut writer = BagWriter::create(&path).unwrap();
-    for message in dermis_bag::BagReader::open(&single).unwrap().messages() {
+    for message in BagReader::open(&single).unwrap().messages() {
         let message = message.unwrap();
         let time = message.log_time;
         if &*message.topic == "/tool_pose" {
@@ -159,6 +159,25 @@ fn poses_may_come_as_one_of_many_transforms() {
     let (one, many) = (read(&single), read(&path));
     assert!(one.labelled().count() > 400);
     assert!(one.labelled().map(|(_, _, t)| t).eq(many.labelled().map(|(_, _, t)| t)));
+}
+
+#[test]
+fn readings_that_are_too_many_to_be_held_tell_the_same() {
+    let (dir, map, act) = (tempfile::tempdir().unwrap(), map(&[]), two_presses());
+    let bag = record(dir.path(), &map, &act, |_, _, _| {});
+    let read = |most_frames| {
+        let options = DatasetOptions { most_frames, memory: 0, ..options(&map) };
+        Dataset::from_bags(&[&bag], &skin(), &options).unwrap()
+    };
+    // There are 500 frames, and 1000 readings.
+    let (whole, streamed, thinned) = (read(1000), read(500), read(100));
+    assert_eq!(whole.runs()[0].samples, streamed.runs()[0].samples);
+    let run = &thinned.runs()[0];
+    assert_eq!((run.frames(), run.every(), thinned.locations()), (500, 6, 2));
+    assert!(run.samples.iter().all(|s| *s == whole.runs()[0].samples[s.number as usize]));
+    for data in [&streamed, &thinned] {
+        assert_eq!((data.hash(), data.runs()[0].bias), (whole.hash(), whole.runs()[0].bias));
+    }
 }
 
 #[test]

@@ -3,9 +3,12 @@
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
 
+use super::config::TrainConfig;
 use super::network::{Mlp, State};
 use crate::LearnError;
+use crate::dataset::{Dataset, hex};
 
 const SCHEMA: &str = "dermis-checkpoint/1";
 
@@ -69,6 +72,20 @@ pub(super) fn load(path: &Path, fresh: Mlp, signature: &str) -> Result<State, Le
     }
     (state.epoch, state.steps) = (header.epoch, header.steps);
     Ok(state)
+}
+
+/// Names everything that a checkpoint depends on.
+pub(super) fn signature(data: &Dataset, config: &TrainConfig) -> Result<String, LearnError> {
+    let mut hasher = Sha256::new();
+    hasher.update(data.skin().hash().as_bytes());
+    hasher.update(data.hash().as_bytes());
+    // The hash of a data set is that of all frames, whether they are used or not.
+    for run in data.runs().iter().filter(|run| run.every() > 1) {
+        hasher.update(format!("{} of {}", run.samples.len(), run.every()).as_bytes());
+    }
+    let config = serde_json::to_vec(config).map_err(|e| LearnError::Training { reason: e.to_string() })?;
+    hasher.update(config);
+    Ok(hex(&hasher.finalize()))
 }
 
 #[cfg(test)]

@@ -230,6 +230,7 @@ fn report(options: &Options, out: &Path, outcome: &Outcome) -> Result<(), LearnE
         let result = json!({
             "bundle": out,
             "samples": outcome.samples,
+            "every": outcome.every,
             "seconds": outcome.seconds,
             "held_out": outcome.held_out.to_json(),
             "other_runs": others,
@@ -246,6 +247,12 @@ fn report(options: &Options, out: &Path, outcome: &Outcome) -> Result<(), LearnE
             print!("{evaluation}");
         }
         print!("{verdicts}");
+        if outcome.every > 1 {
+            println!(
+                "learned from one of {} labelled frames, because all of them would take more than 4 GiB",
+                outcome.every
+            );
+        }
         println!(
             "{} samples in {:.0} s; bundle and report in {}",
             outcome.samples,

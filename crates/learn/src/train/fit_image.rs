@@ -54,7 +54,7 @@ pub(super) fn fit_image(
     let port = |name: &str, shape: &[usize]| TensorPort { name: name.into(), shape: shape.to_vec() };
     let output = port(MAP_NORMAL, &[1, mixing.rows()]);
     let interface = Interface::of(&[port("input", &[1, inputs, 1, 1])], &[output]);
-    Ok(Trained { graph, interface, samples, choice: None })
+    Ok(Trained { graph, interface, samples, every: 1, choice: None })
 }
 
 /// \[N\] root mean square of the pixels of touched training samples.

@@ -11,18 +11,18 @@ use dermis_inference::{
 };
 use dermis_model::ForwardModel;
 use serde_json::json;
-use sha2::{Digest, Sha256};
 
 use super::balance::Balance;
 use super::candidates::Candidate;
-use super::checkpoint;
+use super::checkpoint::{self, signature};
 use super::choose::{self, Choice, Table};
 use super::config::TrainConfig;
 use super::measure::{measure_features, measure_outputs};
 use super::network::{Batch, Mlp, Progress, State, advance, seed_of};
 use super::prepare::Preparation;
 use super::processor::Processor;
-use crate::dataset::{Dataset, SampleId, Truth, hex};
+use super::rows;
+use crate::dataset::{Dataset, SampleId, Truth};
 use crate::evaluate::Evaluation;
 use crate::evaluator::GraphEvaluator;
 use crate::plot::Report;
@@ -64,6 +64,8 @@ pub struct Outcome {
     pub others: Vec<(String, Evaluation)>,
     /// Samples trained on.
     pub samples: usize,
+    /// Of so many labelled frames to learn from, one was: more than 1 where their rows would take more than 4 GiB.
+    pub every: usize,
     /// \[s\] that fitting took.
     pub seconds: f64,
     /// Which regressors were judged, and which kept; of a configuration that names several.
@@ -106,11 +108,12 @@ pub fn run(
     let decoder = Outputs::new(specs.clone())?;
     let job = Job { request, split: &split, features: &features, outputs: &outputs, decoder: &decoder };
     let started = Instant::now();
-    let Trained { graph, interface, samples, choice } = match (&config.network.conv, &config.network.image) {
-        (None, None) => fit_dense(&job, &mut maps, stop, progress)?,
-        (Some(conv), _) => fit_conv(&job, conv, maps, stop, progress)?,
-        (None, Some(image)) => fit_image(&job, image, stop, progress)?,
-    };
+    let Trained { graph, interface, samples, every, choice } =
+        match (&config.network.conv, &config.network.image) {
+            (None, None) => fit_dense(&job, &mut maps, stop, progress)?,
+            (Some(conv), _) => fit_conv(&job, conv, maps, stop, progress)?,
+            (None, Some(image)) => fit_image(&job, image, stop, progress)?,
+        };
     let seconds = started.elapsed().as_secs_f64();
     let model = Model::load(request.runtime, &graph, &interface)?;
     let input = (&features, config.baseline);
@@ -129,6 +132,7 @@ pub fn run(
         held_out: evaluation,
         others: others.iter().map(|(name, e, _)| (name.clone(), e.clone())).collect(),
         samples,
+        every,
         seconds,
         choice,
     };
@@ -160,8 +164,9 @@ pub(super) struct Job<'a> {
 pub(super) struct Trained {
     pub(super) graph: Vec<u8>,
     pub(super) interface: Interface,
-    /// Samples that it was fitted to.
+    /// Samples that it was fitted to: of so many, one.
     pub(super) samples: usize,
+    pub(super) every: usize,
     pub(super) choice: Option<Choice>,
 }
 
@@ -206,9 +211,15 @@ fn fit_dense(
         Batch { outputs: columns.len(), logit: columns.last() == Some(&"contact"), ..Batch::default() };
     let mut balance = Balance::default();
     let mut ids = Vec::new();
+    let every = rows::every(job.split.train.len(), width, columns.len());
+    let mut seen = 0_usize;
     data.each_input(job.features, config.baseline, |id, row| {
         let truth = data.sample(id).and_then(|s| s.truth.as_ref());
         let Some(truth) = truth.filter(|_| !held_out.contains(&id)) else { return Ok(()) };
+        seen += 1;
+        if !(seen - 1).is_multiple_of(every) {
+            return Ok(());
+        }
         let targets = job.targets(truth, maps)?;
         if targets.iter().any(|t| !t.is_nan()) {
             ids.push(id);
@@ -236,7 +247,7 @@ fn fit_dense(
     if config.model.candidates.as_slice() == [Candidate::Network] {
         let networks = fit_all(job.request, &batch, &signature, stop, progress)?;
         let graph = Mlp::to_onnx(&networks, &preparation, "dermis").map_err(written)?;
-        return Ok(Trained { graph, interface, samples, choice: None });
+        return Ok(Trained { graph, interface, samples, every, choice: None });
     }
     let table = Table::new(data, &batch, &ids, &columns, config)?;
     let Some(choice) = table.choose(config, stop)? else {
@@ -254,7 +265,7 @@ fn fit_dense(
         .map(|group| Ok((group.clone(), table.kept(group, &choice, config.model.most)?)))
         .collect::<Result<Vec<_>, LearnError>>()?;
     let graph = choose::to_onnx(&networks, &kept, &preparation, columns.len()).map_err(written)?;
-    Ok(Trained { graph, interface, samples, choice: Some(choice) })
+    Ok(Trained { graph, interface, samples, every, choice: Some(choice) })
 }
 
 #[cfg(feature = "train")]
@@ -346,16 +357,6 @@ fn weight(truth: &Truth, name: &str, config: &TrainConfig, outputs: &Outputs) ->
         Some(force) => (force / full).clamp(0.0, 1.0).powi(2) as f32,
         None => 1.0,
     }
-}
-
-/// Names everything that a checkpoint depends on.
-pub(super) fn signature(data: &Dataset, config: &TrainConfig) -> Result<String, LearnError> {
-    let mut hasher = Sha256::new();
-    hasher.update(data.skin().hash().as_bytes());
-    hasher.update(data.hash().as_bytes());
-    let config = serde_json::to_vec(config).map_err(|e| LearnError::Training { reason: e.to_string() })?;
-    hasher.update(config);
-    Ok(hex(&hasher.finalize()))
 }
 
 fn fit_all(
@@ -462,7 +463,7 @@ fn write_bundle(
         (
             "samples",
             json!({
-                "training": { "all": split.train.len(), "touched": touched(&split.train), "used": outcome.samples },
+                "training": { "all": split.train.len(), "touched": touched(&split.train), "used": outcome.samples, "every": outcome.every },
                 "held_out": { "all": split.test.len(), "touched": touched(&split.test) },
             }),
         ),

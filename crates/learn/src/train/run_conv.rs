@@ -10,11 +10,12 @@ use std::sync::atomic::AtomicBool;
 
 use dermis_inference::{Interface, TensorPort};
 
+use super::checkpoint::signature;
 use super::config::ConvConfig;
 use super::conv::{ConvNetwork, ConvSpec, ConvTraining, Form, Head, TensorReader, TensorSample, fit};
 use super::held::{Held, budget};
 use super::network::Progress;
-use super::run::{Job, Trained, no_rows, partial, signature};
+use super::run::{Job, Trained, no_rows, partial};
 use crate::dataset::{SampleId, Truth};
 use crate::target::{Maps, Target};
 use crate::{LearnError, SplitKind};
@@ -156,6 +157,7 @@ pub(super) fn fit_conv(
         graph,
         interface: Interface::of(&[port("input", &conv.grid)], &outputs),
         samples,
+        every: 1,
         choice: None,
     })
 }

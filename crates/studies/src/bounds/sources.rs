@@ -10,7 +10,7 @@ use dermis_theory::{Press, Responses, noise_of_repeats};
 use nalgebra::Point3;
 
 use super::Request;
-use crate::Progress;
+use crate::{Progress, labelled};
 
 /// \[N\] up to which isolines of a model are followed.
 const FORCE_MAX: f64 = 2.5;
@@ -48,10 +48,7 @@ impl Source {
             let Some(model) = model else { bail!("there is neither a model nor a bag") };
             return Ok(Self::Model(Arc::clone(model)));
         }
-        let data = Dataset::from_bags(&options.bag, skin, &options.labels.options()?)?;
-        for notice in data.notices() {
-            progress.note(&notice);
-        }
+        let data = labelled(&options.bag, skin, &options.labels.options()?, progress)?;
         let mut diameter = f64::NAN;
         let single: Vec<SampleId> =
             data.labelled().filter(|(_, _, t)| t.single().is_some()).map(|(id, ..)| id).collect();

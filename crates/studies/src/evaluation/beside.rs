@@ -13,8 +13,8 @@ use dermis_skin::{Estimate, SkinDescription};
 use serde::Serialize;
 use serde_json::Value;
 
-use crate::Progress;
 use crate::regressions::{self, Learned as Presses, Most};
+use crate::{Progress, labelled};
 
 /// Recorded readings that neighbours, trees and Gaussian processes learn from at most, support vectors, and the network.
 const MOST: Most = Most { all: 30_000, vectors: 2500 };
@@ -44,7 +44,7 @@ pub(super) fn beside(
     bins: &[f64],
     progress: &dyn Progress,
 ) -> Result<(Vec<SampleId>, Vec<BaselineComparison>)> {
-    let learned = Dataset::from_bags(bags, skin, &labels.options()?)?;
+    let learned = labelled(bags, skin, &labels.options()?, progress)?;
     let single: Vec<SampleId> =
         learned.labelled().filter(|(_, _, t)| t.single().is_some()).map(|(id, ..)| id).collect();
     let least = bins.first().copied().unwrap_or_default();

@@ -10,7 +10,7 @@ use dermis_estimate::finder::MapFinder;
 use dermis_inference::{Bundle, Runtime, RuntimeConfig};
 use dermis_learn::cli::Labels;
 use dermis_learn::real2sim::Compliance;
-use dermis_learn::{Bounds, Dataset, SampleId, Truth, TruthContact, frame_bounds};
+use dermis_learn::{Bounds, SampleId, Truth, TruthContact, frame_bounds};
 use dermis_model::Unknowns;
 use dermis_skin::SkinDescription;
 use serde::{Deserialize, Serialize, Serializer};
@@ -18,7 +18,7 @@ use serde_json::{Value, json};
 
 use super::nominal;
 use super::train::parts;
-use crate::{Families, LeftOut, Progress};
+use crate::{Families, LeftOut, Progress, labelled};
 
 mod evaluator;
 mod methods;
@@ -193,8 +193,8 @@ impl Serialize for Findings {
 pub fn compare(options: &Request, families: &Families, progress: &dyn Progress) -> Result<Findings> {
     let (skin, model) = nominal(&options.skin, families, progress)?;
     let labels = options.labels.options()?;
-    let learned = Dataset::from_bags(&options.train, &skin, &labels)?;
-    let data = Dataset::from_bags(&options.bags, &skin, &labels)?;
+    let learned = labelled(&options.train, &skin, &labels, progress)?;
+    let data = labelled(&options.bags, &skin, &labels, progress)?;
     let compliance = Compliance::of(model.as_ref(), 0.010)?;
     let targets = Targets::of(&data, options, &compliance)?;
     let test = &targets.all;

@@ -43,7 +43,7 @@ use serde::{Deserialize, Serialize};
 use super::compare::{self, Kind, MethodEvaluator, Row, Targets};
 use super::train::parts;
 use super::{nominal, sensors, watched};
-use crate::{Families, LeftOut, Progress};
+use crate::{Families, LeftOut, Progress, labelled};
 
 pub use maps::{Frames, MapRow};
 pub use strongest::{Rule, Strongest};
@@ -195,8 +195,8 @@ pub fn measure(options: &Request, families: &Families, progress: &dyn Progress) 
     let started = Instant::now();
     let (skin, model) = nominal(&options.skin, families, progress)?;
     let labels = options.labels.options()?;
-    let learned = Dataset::from_bags(&options.train, &skin, &labels)?;
-    let data = Dataset::from_bags(&options.bags, &skin, &labels)?;
+    let learned = labelled(&options.train, &skin, &labels, progress)?;
+    let data = labelled(&options.bags, &skin, &labels, progress)?;
     let mut settings = Settings::load(options.settings.as_deref())?;
     let mut options = options.clone();
     let reduced = if options.reduced { reduction::apply(&mut settings, &mut options) } else { Vec::new() };

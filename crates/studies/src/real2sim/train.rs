@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize, Serializer};
 use serde_json::json;
 
 use super::{nominal, sensors, watched};
-use crate::{Families, Progress};
+use crate::{Families, Progress, labelled};
 
 /// What to learn from.
 #[derive(Debug, Clone, Default, Args, Serialize, Deserialize)]
@@ -68,7 +68,7 @@ impl Serialize for Findings {
 pub fn learn(options: &Request, families: &Families, progress: &dyn Progress) -> Result<Findings> {
     let settings = Settings::load(options.settings.as_deref())?;
     let (skin, model) = nominal(&options.skin, families, progress)?;
-    let data = Dataset::from_bags(&options.bags, &skin, &options.labels.options()?)?;
+    let data = labelled(&options.bags, &skin, &options.labels.options()?, progress)?;
     let split = settings.split.apply(&data)?;
     let (learn, choose) = parts(&data, &split.train);
     let compliance = Compliance::of(model.as_ref(), settings.scenes.diameter)?;

@@ -1,21 +1,21 @@
 //! What a bag holds for a skin, before its frames are joined with their ground truth.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
+use std::sync::Arc;
 
-use dermis_bag::{BagMessage, BagReader, BagSkin, Filter, SkinChoice, SkinChoiceError};
-use dermis_msgs::geometry_msgs::msg::{TransformStamped, WrenchStamped};
+use dermis_bag::{BagMessage, BagReader, Filter, SkinChoiceError};
 use dermis_msgs::msg::{Contact as ContactMsg, Indentation, IndentationContact, SkinGeometry, TaxelFrame};
 use dermis_msgs::sensor_msgs::msg::Image as ImageMsg;
-use dermis_msgs::tf2_msgs::msg::TFMessage;
 use dermis_msgs::{ChannelLayout, Message, TypeSupport};
 use dermis_skin::{ForceComponents, Frame, SkinDescription, Stamp};
 use nalgebra::{Point3, Vector3};
 use sha2::{Digest, Sha256};
 
-use super::truth_at;
+use super::check_late;
+use super::opened::{Opened, Truths, namespace, topic_of, wanted_types};
 use crate::LearnError;
 use crate::dataset::recording::Recording;
+use crate::dataset::track::{FromBag, Gathered, Track};
 use crate::dataset::{DatasetOptions, Truth, TruthContact};
 use crate::findings::Findings;
 use crate::map::{LabelMap, Readings};
@@ -24,7 +24,7 @@ use crate::map::{LabelMap, Readings};
 #[derive(Default)]
 pub(super) struct Contents {
     pub(super) frames: Recording,
-    truths: Vec<(Stamp, Truth)>,
+    truths: Gathered<Truth>,
     pub(super) rig: Readings,
     /// Frames of the skin by topic.
     topics: BTreeMap<String, usize>,
@@ -42,6 +42,8 @@ pub(super) struct Contents {
     unstamped: [u64; 2],
     /// First frame that is not as the skin's description says.
     mismatch: Option<String>,
+    /// Number of frames of which there are more.
+    exceeded: Option<usize>,
 }
 
 /// Which messages of a bag are taken, and for what they are checked.
@@ -56,43 +58,21 @@ struct Wanted<'a> {
     memory: usize,
 }
 
-/// The types of message that ground truth and frames are made of.
-fn wanted_types(options: &DatasetOptions) -> Vec<&'static TypeSupport> {
-    let mut wanted = vec![TypeSupport::of::<TaxelFrame>(), TypeSupport::of::<SkinGeometry>()];
-    if options.map.is_some() {
-        wanted.extend([
-            TypeSupport::of::<WrenchStamped>(),
-            TypeSupport::of::<TransformStamped>(),
-            TypeSupport::of::<TFMessage>(),
-        ]);
-    } else {
-        wanted.push(TypeSupport::of::<Indentation>());
-    }
-    wanted
-}
-
 impl Contents {
-    /// Reads a bag. `hasher` gets what is used of it; of its frames, `memory` bytes are held.
+    /// Reads a bag. `hasher` gets what is used of it; of its frames, `memory` bytes are held. Of what is `streamed`, no entry for
+    /// each frame or message is held; of other bags, there may be `most` frames, or as many as the summary says.
     pub(super) fn read(
-        path: &Path,
+        opened: &Opened,
         skin: &SkinDescription,
         options: &DatasetOptions,
         hasher: &mut Sha256,
-        memory: usize,
+        (memory, streamed, most): (usize, bool, usize),
     ) -> Result<Self, LearnError> {
-        let bag = BagReader::open(path)?;
-        let mut found = Self::default();
-        found.frames.held = Some(Vec::new());
-        let types = wanted_types(options);
-        for support in &types {
-            for topic in bag.topics().iter().filter(|t| t.type_name == support.name) {
-                bag.check_type(topic, support)?;
-            }
+        let mut found = Self { frames: Recording::new(streamed), ..Self::default() };
+        if streamed {
+            (found.truths, found.rig) = (Gathered::streamed(), Readings::streamed());
         }
-        let topic = topic_of(options).map(String::as_str);
-        let skins = bag.skins()?;
-        let choice = SkinChoice { instance: options.instance.as_deref(), topic, type_name: skin.type_name() };
-        let chosen = match choice.of(&skins, |hash, name| skin.is_type(hash, name)) {
+        let chosen = match opened.chosen(skin, options) {
             Ok(chosen) => chosen,
             Err(error) => {
                 found.choice = Some(error);
@@ -100,19 +80,26 @@ impl Contents {
             }
         };
         found.instance.clone_from(&chosen.name);
+        let topic = topic_of(options).map(String::as_str);
         let wanted = Wanted {
             skin,
             topic,
             layouts: &chosen.layouts,
-            truths: Truths::of(chosen, &skins, topic, skin),
+            truths: Truths::of(chosen, &opened.skins, topic, skin),
             map: options.map.as_ref(),
             memory,
         };
-        for message in bag.messages_where(Filter::default().types(types.iter().map(|s| s.name))) {
+        let types = wanted_types(options);
+        // Frames are numbered by 32 bits.
+        let allowed = opened.allowed.max(most).min(u32::MAX as usize - 1);
+        for message in opened.bag.messages_where(Filter::default().types(types.iter().map(|s| s.name))) {
             found.take(&message?, &wanted, hasher)?;
+            if found.frames.count > allowed {
+                found.exceeded = Some(allowed);
+                break;
+            }
         }
-        found.truths.sort_by_key(|(stamp, _)| *stamp);
-        found.images = found.image_topic(&bag)?;
+        found.images = found.image_topic(&opened.bag)?;
         Ok(found)
     }
 
@@ -127,13 +114,13 @@ impl Contents {
             self.take_frame(message, wanted, hasher)?;
         } else if *message.type_name == *Indentation::TYPE_NAME {
             let truth: Indentation = message.decode()?;
-            if wanted.truths.take(&message.topic, &truth.skin) {
+            if wanted.truths.takes(&message.topic, &truth.skin) {
                 hasher.update(message.recorded());
                 self.sessions.insert(truth.session.clone());
                 if truth.header.stamp.as_nanos() == 0 {
                     self.unstamped[1] += 1;
                 } else {
-                    self.truths.push((truth.header.stamp.as_nanos(), truth_of(&truth)));
+                    self.truths.push(truth.header.stamp.as_nanos(), truth_of(&truth));
                 }
             }
         } else if *message.type_name == *SkinGeometry::TYPE_NAME {
@@ -192,30 +179,29 @@ impl Contents {
 
     /// First and last stamp of the ground truth.
     pub(super) fn truth_span(&self) -> Option<(Stamp, Stamp)> {
-        self.truths.first().zip(self.truths.last()).map(|((a, _), (b, _))| (*a, *b))
+        self.truths.span()
     }
 
-    /// The ground truth of every frame, given by its stamp, where some is within `tolerance` \[s\]; says what is wrong with it.
-    pub(super) fn label(
-        &self,
-        stamps: &[Stamp],
-        tolerance: f64,
+    /// The ground truth over time, of so many frames; says what is wrong with it.
+    pub(super) fn truth_track(
+        &mut self,
+        opened: &Opened,
+        (skin, options, frames): (&SkinDescription, &DatasetOptions, usize),
         place: &str,
         findings: &mut Findings,
-    ) -> Vec<Option<Truth>> {
+    ) -> Track<Truth> {
         if self.unstamped[1] > 0 {
             findings.fatal(
                 place,
                 format!("{} ground truth messages have no stamp (header.stamp is 0)", self.unstamped[1]),
                 "nothing can be joined by acquisition time",
             );
-        } else if self.truths.is_empty() {
+        } else if self.truths.len() == 0 {
             findings.fatal(
                 place,
                 format!(
                     "holds {} frames of skin `{}` but no ground truth (dermis_msgs/msg/Indentation) for it",
-                    stamps.len(),
-                    self.instance
+                    frames, self.instance
                 ),
                 "nothing can be learned or measured; record one with `dermis collect`, `dermis import` a labelled \
                  recording, or name a robot's and a force sensor's topics in a file and pass it as `--map`",
@@ -225,7 +211,28 @@ impl Contents {
             let what = format!("holds {} sessions, which count as one run", self.sessions.len());
             findings.notice(place, what, "");
         }
-        stamps.iter().map(|t| truth_at(&self.truths, *t, (tolerance * 1e9) as i64)).collect()
+        let truths = std::mem::take(&mut self.truths);
+        check_late(truths.late(), "ground truth messages", place, findings);
+        let chosen = opened.chosen(skin, options).ok();
+        let topic = topic_of(options).map(String::as_str);
+        let wanted = chosen.map(|chosen| Truths::of(chosen, &opened.skins, topic, skin));
+        truths.into_track(
+            false,
+            FromBag {
+                bag: opened.bag.clone(),
+                filter: Filter::default().types([Indentation::TYPE_NAME]),
+                take: Arc::new(move |message, order| {
+                    let truth: Indentation = message.decode()?;
+                    let stamp = truth.header.stamp.as_nanos();
+                    if stamp != 0
+                        && wanted.as_ref().is_some_and(|wanted| wanted.takes(&message.topic, &truth.skin))
+                    {
+                        order.push(stamp, truth_of(&truth));
+                    }
+                    Ok(())
+                }),
+            },
+        )
     }
 
     /// Says what is wrong with the frames themselves.
@@ -247,6 +254,13 @@ impl Contents {
                 place,
                 format!("its frames are of `{}`, a skin of the type `{}`", self.instance, skin.type_name()),
                 "",
+            );
+        }
+        if let Some(allowed) = self.exceeded {
+            findings.fatal(
+                place,
+                format!("holds more than {allowed} frames, which its summary does not count, or which are too many for one bag"),
+                "it is not read to its end; `dermis bag slice` writes it anew, or in parts",
             );
         }
         if let Some(reason) = &self.mismatch {
@@ -291,7 +305,7 @@ impl Contents {
     }
 
     fn check_channels(&self, skin: &SkinDescription, place: &str, findings: &mut Findings) {
-        if self.frames.marks.len() < 10 || self.mismatch.is_some() {
+        if self.frames.count < 10 || self.mismatch.is_some() {
             return;
         }
         let (mut silent, mut constant) = (Vec::new(), Vec::new());
@@ -320,46 +334,6 @@ impl Contents {
             }
         }
     }
-}
-
-/// Topic of the frames, where one is named.
-pub(super) fn topic_of(options: &DatasetOptions) -> Option<&String> {
-    options.map.as_ref().and_then(|m| m.skin.taxels.as_ref()).or(options.taxels.as_ref())
-}
-
-/// Which ground truth of a bag is that of a device. What presses a skin may know its type only.
-struct Truths {
-    instance: String,
-    type_name: String,
-    /// Namespaces of the device's frames, where the type's name is not enough.
-    namespaces: Option<BTreeSet<String>>,
-    /// Whether the device's own name is not enough either: another one has it too.
-    shared: bool,
-}
-
-impl Truths {
-    fn of(chosen: &BagSkin, skins: &[BagSkin], topic: Option<&str>, skin: &SkinDescription) -> Self {
-        let framed = |skin: &&BagSkin| skin.topics_of::<TaxelFrame>().next().is_some();
-        let shared = chosen.topics_of::<TaxelFrame>().count() > 1;
-        let alone = !shared && skins.iter().filter(framed).count() == 1;
-        let topics =
-            chosen.topics_of::<TaxelFrame>().filter(|other| topic.is_none_or(|topic| topic == *other));
-        Self {
-            instance: chosen.name.clone(),
-            type_name: skin.type_name().to_owned(),
-            namespaces: (!alone).then(|| topics.map(|topic| namespace(topic).to_owned()).collect()),
-            shared,
-        }
-    }
-
-    fn take(&self, topic: &str, skin: &str) -> bool {
-        let beside = || self.namespaces.as_ref().is_none_or(|of_frames| of_frames.contains(namespace(topic)));
-        skin == self.instance && (!self.shared || beside()) || skin == self.type_name && beside()
-    }
-}
-
-fn namespace(topic: &str) -> &str {
-    topic.rsplit_once('/').map_or("", |(namespace, _)| namespace)
 }
 
 /// The first few of many names.
