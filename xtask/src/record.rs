@@ -1,4 +1,4 @@
-//! Records of what was measured: `benches/results/NAME.json`, each with the command, the commit and the machine that it is of where it was measured at 3565e8d8 or later.
+//! Records of what was measured: `benches/results/NAME.json`, each written with the command, the commit and the machine that it is of.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;

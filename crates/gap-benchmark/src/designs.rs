@@ -31,6 +31,7 @@ pub struct Designs<'a> {
 }
 
 /// A shell that was solved.
+#[derive(Clone)]
 struct KeptShell {
     shell: Solved,
     influence: Arc<Influence>,
@@ -70,40 +71,48 @@ impl<'a> Designs<'a> {
     /// [`BenchmarkError::Design`] where nobody makes its model.
     pub(crate) fn of(&self, skin: &SkinDescription) -> Result<Nominal, BenchmarkError> {
         let hash = skin.hash();
-        // What another thread has left behind in a panic is made anew.
-        if let Ok(kept) = self.kept.lock()
-            && let Some(nominal) = kept.iter().find(|n| n.hash == hash)
-        {
-            return Ok(nominal.clone());
-        }
         let refused = |reason: String| BenchmarkError::Design { skin: skin.name.clone(), reason };
-        let make = self.make.ok_or_else(|| {
-            refused("no forward model was given to the benchmark for this sensor family".to_owned())
-        })?;
-        let nominal = Nominal { hash, model: make(skin).map_err(refused)?, answered: Arc::default() };
-        if let Ok(mut kept) = self.kept.lock() {
-            kept.truncate(KEPT - 1);
-            kept.insert(0, nominal.clone());
-        }
-        Ok(nominal)
+        kept(
+            &self.kept,
+            |nominal| nominal.hash == hash,
+            || {
+                let make = self.make.ok_or_else(|| {
+                    refused("no forward model was given to the benchmark for this sensor family".to_owned())
+                })?;
+                let model = make(skin).map_err(refused)?;
+                Ok(Nominal { hash: hash.clone(), model, answered: Arc::default() })
+            },
+        )
+    }
+
+    /// The influence of forces on the gauges of this shell; `None` where it cannot be solved.
+    pub(crate) fn solved(&self, shell: &Solved) -> Option<Arc<Influence>> {
+        let solve = || {
+            let influence = Arc::new(shell.influence().ok_or(())?);
+            Ok::<_, ()>(KeptShell { shell: shell.clone(), influence })
+        };
+        kept(&self.shells, |kept| kept.shell == *shell, solve).ok().map(|kept| kept.influence)
     }
 }
 
-impl Designs<'_> {
-    /// The influence of forces on the gauges of this shell; `None` where it cannot be solved.
-    pub(crate) fn solved(&self, shell: &Solved) -> Option<Arc<Influence>> {
-        if let Ok(kept) = self.shells.lock()
-            && let Some(before) = kept.iter().find(|kept| kept.shell == *shell)
-        {
-            return Some(Arc::clone(&before.influence));
-        }
-        let influence = Arc::new(shell.influence()?);
-        if let Ok(mut kept) = self.shells.lock() {
-            kept.truncate(KEPT - 1);
-            kept.insert(0, KeptShell { shell: shell.clone(), influence: Arc::clone(&influence) });
-        }
-        Some(influence)
+/// The one of a list that `is` the wanted one, or a new one, before which the oldest is dropped.
+fn kept<T: Clone, E>(
+    list: &Mutex<Vec<T>>,
+    is: impl Fn(&T) -> bool,
+    make: impl FnOnce() -> Result<T, E>,
+) -> Result<T, E> {
+    // What another thread has left behind in a panic is made anew.
+    if let Ok(list) = list.lock()
+        && let Some(found) = list.iter().find(|item| is(item))
+    {
+        return Ok(found.clone());
     }
+    let made = make()?;
+    if let Ok(mut list) = list.lock() {
+        list.truncate(KEPT - 1);
+        list.insert(0, made.clone());
+    }
+    Ok(made)
 }
 
 impl Nominal {

@@ -56,6 +56,7 @@ impl Solved {
 
 /// Facets along a shell for each element across a layer.
 const FACETS: f64 = 5.0;
+
 /// The reference device.
 #[derive(Debug)]
 pub(crate) struct ShellDevice {

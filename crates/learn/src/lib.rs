@@ -35,6 +35,7 @@ mod map;
 mod metrics;
 pub mod picture;
 pub mod plot;
+mod random;
 pub mod real2sim;
 mod recordings;
 pub mod refine;

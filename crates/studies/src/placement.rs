@@ -399,7 +399,7 @@ fn choose(
             findings.interrupted = true;
             return Ok(());
         }
-        bar.begin(&format!("{}: judging", method.name()));
+        bar.begin(&format!("{}: evaluating", method.name()));
         let Some(evaluation) = evaluate(teach, ask, &sets, &settings, &watch)? else {
             findings.interrupted = true;
             return Ok(());

@@ -64,8 +64,22 @@ const GAUSS: [(f64, f64); 3] =
     [(-0.774_596_669_241_483_4, 5.0 / 9.0), (0.0, 8.0 / 9.0), (0.774_596_669_241_483_4, 5.0 / 9.0)];
 /// Signs of the corners along both axes.
 const CORNERS: [[f64; 2]; 4] = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]];
-/// Corners at the ends of each side, in the direction of its axis, and that axis; the first two go along x, below and above.
-const SIDES: [(usize, usize, usize); 4] = [(0, 1, 0), (3, 2, 0), (0, 3, 1), (1, 2, 1)];
+/// A side of a facet.
+struct SideOf {
+    /// Corners at its ends, in the direction of its axis.
+    ends: [usize; 2],
+    /// Along x or y.
+    axis: usize,
+    /// Natural coordinate of the other axis on it.
+    across: f64,
+}
+
+const SIDES: [SideOf; 4] = [
+    SideOf { ends: [0, 1], axis: 0, across: -1.0 },
+    SideOf { ends: [3, 2], axis: 0, across: 1.0 },
+    SideOf { ends: [0, 3], axis: 1, across: -1.0 },
+    SideOf { ends: [1, 2], axis: 1, across: 1.0 },
+];
 /// Share of the thickness that carries a shear force (E. Reissner).
 const SHEAR_CORRECTION: f64 = 5.0 / 6.0;
 
@@ -82,7 +96,7 @@ pub(super) struct Wall<'a> {
 impl Facet {
     /// The mean shear strain across the thickness along each side as its corners alone say it.
     fn side_shear(&self) -> [Row; 4] {
-        SIDES.map(|(from, to, axis)| {
+        SIDES.map(|SideOf { ends: [from, to], axis, .. }| {
             let mut row = Row::zeros();
             for (corner, sign) in [(from, -1.0), (to, 1.0)] {
                 row[6 * corner + 2] = sign / [self.a, self.b][axis];
@@ -115,13 +129,11 @@ impl Facet {
             all[(2, turn_y)] -= dx;
         }
         let sheared = self.sheared(wall);
-        for (side, row) in self.side_shear().into_iter().enumerate() {
-            let axis = SIDES[side].2;
+        for (SideOf { axis, across: away, .. }, row) in SIDES.into_iter().zip(self.side_shear()) {
             let height = row * (-1.5 / (1.0 + sheared[axis]));
             let (along, across) = if axis == 0 { (xi, eta) } else { (eta, xi) };
             let (s, t) = if axis == 0 { (sx, sy) } else { (sy, sx) };
             // The parabola (1 - along²), which fades to the opposite side.
-            let away = if side % 2 == 0 { -1.0 } else { 1.0 };
             let slope = height * (-2.0 * along * s * (1.0 + away * across) / 2.0);
             let fading = height * ((1.0 - along * along) * away / 2.0 * t);
             for c in 0..24 {
@@ -136,9 +148,7 @@ impl Facet {
     fn shear(&self, wall: Wall<'_>, xi: f64, eta: f64) -> SMatrix<f64, 2, 24> {
         let sheared = self.sheared(wall);
         let mut all = SMatrix::<f64, 2, 24>::zeros();
-        for (side, row) in self.side_shear().into_iter().enumerate() {
-            let axis = SIDES[side].2;
-            let away = if side % 2 == 0 { -1.0 } else { 1.0 };
+        for (SideOf { axis, across: away, .. }, row) in SIDES.into_iter().zip(self.side_shear()) {
             let weight = (1.0 + away * [eta, xi][axis]) / 2.0 * sheared[axis] / (1.0 + sheared[axis]);
             all.set_row(axis, &(all.row(axis) + row * weight));
         }

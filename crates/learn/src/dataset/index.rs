@@ -12,6 +12,7 @@ use dermis_skin::{ChannelFlags, Stamp};
 
 use super::stream::FEWEST_TARE_FRAMES;
 use super::{FrameInfo, Truth};
+use crate::random::{STEP, mixed};
 
 /// A list that keeps every entry while they are few, and then every second, every fourth and so on.
 #[derive(Debug)]
@@ -204,7 +205,7 @@ impl Indexer {
                     (press.known, press.one) = (true, None);
                 } else if !press.known {
                     press.seen += 1;
-                    if mixed(number).is_multiple_of(press.seen as u64) {
+                    if mixed(u64::from(number).wrapping_add(STEP)).is_multiple_of(press.seen as u64) {
                         press.one = Some(info);
                     }
                     return;
@@ -296,14 +297,6 @@ impl Indexer {
         });
         (samples, between, counts)
     }
-}
-
-/// The bits of a number, mixed (finaliser of `SplitMix64`).
-fn mixed(number: u32) -> u64 {
-    let mut z = u64::from(number).wrapping_add(0x9e37_79b9_7f4a_7c15);
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
 }
 
 /// How the frames of several bags share an index.

@@ -74,7 +74,7 @@ impl Reader<'_> {
         } else {
             let span = contents.truth_span();
             let tolerance = options.tolerance.unwrap_or_else(|| (0.5 / skin.rate).max(0.01));
-            let track = contents.truth_track(opened, (skin, options, losses.frames), place, findings);
+            let track = contents.truth_track(&opened.bag, losses.frames, place, findings);
             (Some(Labels::Truths(track, tolerance)), span)
         };
         let Some(mut labels) = labels.filter(|_| !findings.is_fatal()) else { return Ok(None) };

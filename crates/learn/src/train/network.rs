@@ -16,6 +16,7 @@ use rand_distr::{Distribution, StandardNormal};
 use super::config::{NetworkConfig, TrainingConfig};
 use super::prepare::Preparation;
 use crate::LearnError;
+use crate::random::{STEP, mixed};
 
 /// Samples end to end, normalised.
 #[derive(Debug, Clone, Default)]
@@ -336,13 +337,8 @@ pub fn fit(
 
 /// A seed for each member and epoch, so that a resumed run shuffles as one that was never interrupted.
 pub(super) fn seed_of(training: &TrainingConfig, member: u32, epoch: u32) -> u64 {
-    // SplitMix64 (Steele et al. 2014) over the three numbers.
-    let mut z = training
-        .seed
-        .wrapping_add((u64::from(member) << 32 | u64::from(epoch)).wrapping_mul(0x9e37_79b9_7f4a_7c15));
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
+    let steps = u64::from(member) << 32 | u64::from(epoch);
+    mixed(training.seed.wrapping_add(steps.wrapping_mul(STEP)))
 }
 
 /// Goes on until all epochs are done or `stop` is set; `report` is called after every epoch.

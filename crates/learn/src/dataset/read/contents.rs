@@ -25,6 +25,8 @@ use crate::map::{LabelMap, Readings};
 pub(super) struct Contents {
     pub(super) frames: Recording,
     truths: Gathered<Truth>,
+    /// Which ground truth is that of the device.
+    wanted: Option<Arc<Truths>>,
     pub(super) rig: Readings,
     /// Frames of the skin by topic.
     topics: BTreeMap<String, usize>,
@@ -52,7 +54,7 @@ struct Wanted<'a> {
     /// Topic of the frames, where one is named.
     topic: Option<&'a str>,
     layouts: &'a BTreeMap<u32, ChannelLayout>,
-    truths: Truths,
+    truths: Arc<Truths>,
     map: Option<&'a LabelMap>,
     /// Bytes of frames that may be held.
     memory: usize,
@@ -85,10 +87,11 @@ impl Contents {
             skin,
             topic,
             layouts: &chosen.layouts,
-            truths: Truths::of(chosen, &opened.skins, topic, skin),
+            truths: Arc::new(Truths::of(chosen, &opened.skins, topic, skin)),
             map: options.map.as_ref(),
             memory,
         };
+        found.wanted = Some(Arc::clone(&wanted.truths));
         let types = wanted_types(options);
         // Frames are numbered by 32 bits.
         let allowed = opened.allowed.max(most).min(u32::MAX as usize - 1);
@@ -113,8 +116,7 @@ impl Contents {
         if *message.type_name == *TaxelFrame::TYPE_NAME {
             self.take_frame(message, wanted, hasher)?;
         } else if *message.type_name == *Indentation::TYPE_NAME {
-            let truth: Indentation = message.decode()?;
-            if wanted.truths.takes(&message.topic, &truth.skin) {
+            if let Some(truth) = wanted.truths.of_message(message)? {
                 hasher.update(message.recorded());
                 self.sessions.insert(truth.session.clone());
                 if truth.header.stamp.as_nanos() == 0 {
@@ -185,8 +187,8 @@ impl Contents {
     /// The ground truth over time, of so many frames; says what is wrong with it.
     pub(super) fn truth_track(
         &mut self,
-        opened: &Opened,
-        (skin, options, frames): (&SkinDescription, &DatasetOptions, usize),
+        bag: &BagReader,
+        frames: usize,
         place: &str,
         findings: &mut Findings,
     ) -> Track<Truth> {
@@ -213,21 +215,19 @@ impl Contents {
         }
         let truths = std::mem::take(&mut self.truths);
         check_late(truths.late(), "ground truth messages", place, findings);
-        let chosen = opened.chosen(skin, options).ok();
-        let topic = topic_of(options).map(String::as_str);
-        let wanted = chosen.map(|chosen| Truths::of(chosen, &opened.skins, topic, skin));
+        let wanted = self.wanted.clone();
         truths.into_track(
             false,
             FromBag {
-                bag: opened.bag.clone(),
+                bag: bag.clone(),
                 filter: Filter::default().types([Indentation::TYPE_NAME]),
                 take: Arc::new(move |message, order| {
-                    let truth: Indentation = message.decode()?;
-                    let stamp = truth.header.stamp.as_nanos();
-                    if stamp != 0
-                        && wanted.as_ref().is_some_and(|wanted| wanted.takes(&message.topic, &truth.skin))
-                    {
-                        order.push(stamp, truth_of(&truth));
+                    let Some(wanted) = &wanted else { return Ok(()) };
+                    if let Some(truth) = wanted.of_message(message)? {
+                        let stamp = truth.header.stamp.as_nanos();
+                        if stamp != 0 {
+                            order.push(stamp, truth_of(&truth));
+                        }
                     }
                     Ok(())
                 }),

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
-use dermis_bag::{BagReader, BagSkin, SkinChoice, SkinChoiceError};
+use dermis_bag::{BagMessage, BagReader, BagSkin, SkinChoice, SkinChoiceError};
 use dermis_msgs::geometry_msgs::msg::{TransformStamped, WrenchStamped};
 use dermis_msgs::msg::{Indentation, SkinGeometry, TaxelFrame};
 use dermis_msgs::tf2_msgs::msg::TFMessage;
@@ -124,7 +124,13 @@ impl Truths {
         }
     }
 
-    pub(super) fn takes(&self, topic: &str, skin: &str) -> bool {
+    /// The ground truth that a message tells, where it is that of the device.
+    pub(super) fn of_message(&self, message: &BagMessage) -> Result<Option<Indentation>, LearnError> {
+        let truth: Indentation = message.decode()?;
+        Ok(self.takes(&message.topic, &truth.skin).then_some(truth))
+    }
+
+    fn takes(&self, topic: &str, skin: &str) -> bool {
         let beside = || self.namespaces.as_ref().is_none_or(|of_frames| of_frames.contains(namespace(topic)));
         skin == self.instance && (!self.shared || beside()) || skin == self.type_name && beside()
     }
