@@ -9,7 +9,9 @@ use serde::{Deserialize, Serialize};
 use crate::LearnError;
 use crate::bounds::{AgainstBound, FrameBounds};
 use crate::dataset::{Dataset, Run, SampleId};
-use crate::metrics::{Bin, COUNTED_FROM, ContactError, FORCE_BINS, MapErrors, MapScorer, Scores, Summary};
+use crate::metrics::{
+    Bin, COUNTED_FROM, Consistencies, ContactError, FORCE_BINS, MapErrors, MapScorer, Scores, Summary,
+};
 
 mod collect;
 mod of_maps;
@@ -55,6 +57,9 @@ pub struct Evaluation {
     /// Errors and bounds of the very same contacts, by number of contacts and quantity; empty where no bound is known.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub against_bound: Vec<AgainstBound>,
+    /// Errors of positions beside the covariance that the estimator states of each; absent where it states none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub consistency: Option<Consistencies>,
     /// Errors of every true contact, for what is computed of single frames.
     #[serde(skip)]
     pub contacts: Vec<ContactError>,
@@ -83,6 +88,7 @@ impl Evaluation {
             by_force: scores.by_force(&FORCE_BINS),
             maps: BTreeMap::new(),
             against_bound: Vec::new(),
+            consistency: Consistencies::of(scores.contacts(), &FORCE_BINS),
             contacts: scores.contacts().to_vec(),
         }
     }
@@ -232,7 +238,7 @@ impl fmt::Display for Evaluation {
             }
             writeln!(f)?;
         }
-        Ok(())
+        self.consistency.iter().try_for_each(|c| write!(f, "{c}"))
     }
 }
 

@@ -57,9 +57,10 @@ pub use evaluate::{
 pub use findings::{Finding, Findings};
 pub use map::{Bias, Carrier, ContactRule, Exerted, ForceSide, Join, LabelMap, Mount, RobotSide, SkinSide};
 pub use metrics::{
-    Answer, Bin, COUNTED_FROM, ChannelErrors, ContactError, ContactsOfMaps, ContactsRead, FORCE_BINS,
-    MapContacts, MapErrors, MapExample, MapOfNumber, MapPart, MapReading, MapScores, MapSummary, Rule,
-    Scores, Spread, StrongestErrors, StrongestPart, Summary, bins,
+    Answer, Bin, COUNTED_FROM, ChannelErrors, Consistencies, Consistency, ConsistencyBin, ContactError,
+    ContactsOfMaps, ContactsRead, FORCE_BINS, MapContacts, MapErrors, MapExample, MapOfNumber, MapPart,
+    MapReading, MapScores, MapSummary, Rule, Scores, Spread, Stated, StrongestErrors, StrongestPart, Summary,
+    bins,
 };
 pub use recordings::{Recorded, superpose};
 pub use split::{Split, SplitConfig, SplitKind};

@@ -14,16 +14,18 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use dermis_skin::{Contact, ForceComponents, assign};
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Matrix3, Point3, Vector3};
 
 use crate::dataset::{SampleId, Truth, TruthContact};
 
+mod consistency;
 mod contacts;
 mod examples;
 mod maps;
 mod statistics;
 mod strongest;
 
+pub use consistency::{Consistencies, Consistency, ConsistencyBin, Stated};
 pub use contacts::{ContactsOfMaps, ContactsRead, MapContacts, MapReading, Spread};
 pub use examples::MapExample;
 pub(crate) use maps::MapScorer;
@@ -46,6 +48,8 @@ pub struct Answer {
     pub position: Option<[f64; 3]>,
     /// Whether `position` has a z that the model gives, instead of one that follows from the surface.
     pub depth: bool,
+    /// \[m²\] covariance of `position`; without finite numbers where none is stated.
+    pub position_covariance: Option<Matrix3<f64>>,
     /// \[N\] exerted on the skin; NaN what of it is not given.
     pub force: Option<[f64; 3]>,
     /// \[N\] pressing.
@@ -63,6 +67,7 @@ impl Answer {
         Self {
             position: (at.x.is_finite() && at.y.is_finite()).then_some([at.x, at.y, at.z]),
             depth,
+            position_covariance: Some(contact.position_covariance),
             force: full.then_some(contact.force.into()),
             normal_force: known.then(|| contact.normal_force()).filter(|force| force.is_finite()),
             contact: None,
@@ -195,6 +200,8 @@ pub struct ContactError {
     pub angle: f64,
     /// Whether the contact was found; otherwise errors of place and force are what the rule says.
     pub found: bool,
+    /// What the estimator states of the position's error, where it does.
+    pub stated: Option<Stated>,
 }
 
 /// What counts for a contact that was not found.
@@ -313,6 +320,7 @@ impl Scores {
             vector: f64::NAN,
             angle: f64::NAN,
             found,
+            stated: None,
         };
         if let Some(force) = normal_force
             && let Some(known) = truth.value("force.normal")
@@ -347,6 +355,9 @@ impl Scores {
         }
         if let Some(position) = given {
             error.position = self.score_position(of, true_force, position, answer.depth);
+            let away = Point3::from(position) - contact.position;
+            let away = if answer.depth { away } else { Vector3::new(away.x, away.y, 0.0) };
+            error.stated = answer.position_covariance.and_then(|covariance| Stated::of(&covariance, &away));
         } else {
             error.position = self.missed_by(contact, answer.depth);
             self.add("position", of, true_force, error.position, false);
@@ -399,6 +410,8 @@ impl Scores {
             let contact = [n, truth.contacts.len()];
             let found = answer.is_some();
             let (vector, angle) = (f64::NAN, f64::NAN);
+            let stated =
+                answer.and_then(|a| Stated::of(&a.position_covariance, &(a.position - true_one.position)));
             self.contacts.push(ContactError {
                 id,
                 contact,
@@ -408,6 +421,7 @@ impl Scores {
                 vector,
                 angle,
                 found,
+                stated,
             });
         }
     }

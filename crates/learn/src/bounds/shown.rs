@@ -112,17 +112,27 @@ impl fmt::Display for AgainstBound {
         writeln!(f, "  {} [{unit}] beside its Cramér–Rao bound, the same frames of {of}", self.quantity)?;
         writeln!(
             f,
-            "  {:<34}{:>9}{:>11}{:>10}{:>9}{:>9}{:>9}{:>8}{:>14}",
-            "", "contacts", "not found", "error RMS", "bound", "ratio", "median", "bound", "median ratio"
+            "  {:<34}{:>9}{:>11}{:>10}{:>9}{:>9}{:>9}{:>9}{:>8}{:>14}",
+            "",
+            "contacts",
+            "not found",
+            "error RMS",
+            "stated",
+            "bound",
+            "ratio",
+            "median",
+            "bound",
+            "median ratio"
         )?;
         for (name, r) in self.rows() {
             let [error, bound, median, of] = [r.error_rms, r.bound_rms, r.error_median, r.bound_median];
             writeln!(
                 f,
-                "  {name:<34}{:>9}{:>9.2} %{:>10}{:>9}{:>9.2}{:>9}{:>8}{:>14.2}",
+                "  {name:<34}{:>9}{:>9.2} %{:>10}{:>9}{:>9}{:>9.2}{:>9}{:>8}{:>14.2}",
                 r.samples,
                 r.not_found * 100.0,
                 short(error * factor),
+                r.stated_rms.map_or_else(|| "-".to_owned(), |stated| short(stated * factor)),
                 short(bound * factor),
                 r.ratio_of_rms,
                 short(median * factor),

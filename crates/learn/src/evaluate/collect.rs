@@ -8,7 +8,7 @@ use nalgebra::{Point3, Vector3};
 use super::Evaluation;
 use crate::LearnError;
 use crate::dataset::{Dataset, Sample, SampleId, Truth};
-use crate::metrics::{Answer, MapReading, MapScorer, Rule, Scores};
+use crate::metrics::{Answer, Consistencies, MapReading, MapScorer, Rule, Scores};
 use crate::target::Maps;
 
 /// Compares estimates with the truth one by one, for callers that get their estimates elsewhere, e.g. from a bus.
@@ -245,6 +245,7 @@ impl Evaluator {
         let mut evaluation = Evaluation::of(&scores, data, frames, unanswered, self.tares);
         if let Some(edges) = &self.edges {
             evaluation.by_force = scores.by_force(edges);
+            evaluation.consistency = Consistencies::of(scores.contacts(), edges);
         }
         match self.maps {
             Some(maps) => evaluation.with_maps(maps),

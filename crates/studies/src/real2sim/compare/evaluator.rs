@@ -229,6 +229,7 @@ mod tests {
             vector: f64::NAN,
             angle: f64::NAN,
             found,
+            stated: None,
         };
         let all =
             [contact(0, 0.003, -1.0, true), contact(1, 0.004, 0.0, true), contact(2, 0.05, -2.0, false)];
