@@ -25,8 +25,8 @@ mod limb;
 mod physics;
 mod pictures;
 mod placement;
+mod printed;
 mod recorded;
-mod slip;
 
 /// What can be measured.
 #[derive(Subcommand)]
@@ -110,6 +110,11 @@ pub enum Measurement {
     Placement,
     /// Simulated slides that the fusion finds, and reports of slides that are right, as its test measures and bounds them.
     Slip,
+    /// How long a node waits to publish beside a subscriber that stopped reading, over both backends, as their tests measure and bound it.
+    Hanging,
+    /// Where a recorded skin is touched, learned from the ratios between its channels and with their magnitude besides, by a Gaussian
+    /// process: on unseen locations and on another run. Written to benches/results/eflesh-inputs.json.
+    Inputs,
 }
 
 impl Measurement {
@@ -144,6 +149,8 @@ impl Measurement {
             Self::Bounds => &physics::BOUNDS,
             Self::Placement => &["placement-hapdef-shin"],
             Self::Slip => &["slip"],
+            Self::Hanging => &["hanging"],
+            Self::Inputs => &["eflesh-inputs"],
         }
     }
 
@@ -173,7 +180,9 @@ pub fn run(root: &Path, measurement: &Measurement) -> Result<()> {
         Measurement::Validation => physics::validation(root)?,
         Measurement::Bounds => physics::bounds(root)?,
         Measurement::Placement => placement::placement(root)?,
-        Measurement::Slip => slip::slip(root)?,
+        Measurement::Slip => printed::slip(root)?,
+        Measurement::Hanging => printed::hanging(root)?,
+        Measurement::Inputs => recorded::inputs(root)?,
         Measurement::Restart => restart(root)?,
         Measurement::Force => recorded::recorded(root, &recorded::FORCE)?,
         Measurement::Transfers => recorded::transfers(root)?,

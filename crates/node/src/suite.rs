@@ -87,6 +87,19 @@ pub fn until(what: &str, mut condition: impl FnMut() -> bool) {
     }
 }
 
+/// Prints how long publishes took beside a subscriber that stopped reading, as `cargo xtask measure hanging` reads it, and returns what 99 %
+/// of them and what all of them took at most.
+pub fn report_waits(case: &str, mut waits: Vec<Duration>) -> (Duration, Duration) {
+    waits.sort_unstable();
+    let [half, most, worst] = [0.5, 0.99, 1.0].map(|q| waits[((waits.len() - 1) as f64 * q) as usize]);
+    let ms = |wait: Duration| wait.as_secs_f64() * 1e3;
+    let figures = serde_json::json!({
+        "case": case, "publishes": waits.len(), "median_ms": ms(half), "p99_ms": ms(most), "longest_ms": ms(worst),
+    });
+    println!("figures: {figures}");
+    (most, worst)
+}
+
 /// A namespace of its own for one test.
 pub struct Bench<'a> {
     backend: &'a dyn Backend,

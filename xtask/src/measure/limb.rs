@@ -77,6 +77,7 @@ pub(super) fn limb(root: &Path) -> Result<Value> {
                 "force": found["by_force"]["force.normal"],
                 "bound": found["bound"],
                 "against_bound": found["against_bound"],
+                "consistency": found["consistency"],
                 // On the very frames that the other ways answer.
                 "same_frames": {
                     "position": found["own_beside"]["by_force"]["position"],
@@ -101,10 +102,14 @@ pub(super) fn limb(root: &Path) -> Result<Value> {
     let margin = margin.fold(f64::INFINITY, f64::min);
     all.insert("margin".to_owned(), json!(margin));
     // Where the bound is below 3 mm: the most that the RMS is times the bound in any bin.
-    let tail = super::beside_bound(&all["designed"], 1, "position")["well_determined"]["by_force"].clone();
-    let tail = tail.as_array().into_iter().flatten().filter_map(|bin| bin["ratio_of_rms"].as_f64());
-    let tail = tail.fold(f64::NAN, f64::max);
-    all.insert("tail".to_owned(), json!(tail));
+    let bins = super::beside_bound(&all["designed"], 1, "position")["well_determined"]["by_force"].clone();
+    let worst = |of: &dyn Fn(&Value) -> Option<f64>| {
+        bins.as_array().into_iter().flatten().filter_map(of).fold(f64::NAN, f64::max)
+    };
+    all.insert("tail".to_owned(), json!(worst(&|bin| bin["ratio_of_rms"].as_f64())));
+    // And the most that what the estimator states of these contacts is times the bound.
+    let stated = worst(&|bin| Some(bin["stated_rms"].as_f64()? / bin["bound_rms"].as_f64()?));
+    all.insert("tail_stated".to_owned(), json!(stated));
     Ok(Value::Object(all))
 }
 

@@ -130,8 +130,8 @@ pub(super) fn recorded(root: &Path, quantity: &Quantity) -> Result<Value> {
                 let mut result = work.evaluate(&model, bag, i == j)?;
                 shorten(&mut result);
                 rows.push(json!({
-                    "trained_on": train.file_name().map(|n| n.to_string_lossy()),
-                    "tested_on": bag.file_name().map(|n| n.to_string_lossy()),
+                    "trained_on": name(train),
+                    "tested_on": name(bag),
                     "split": if i == j { split } else { &"other run" },
                     "result": result,
                 }));
@@ -191,10 +191,7 @@ pub(super) fn transfers(root: &Path) -> Result<Value> {
                 let mut errors = serde_json::Map::new();
                 for (candidate, model) in &models {
                     let result = work.evaluate(model, other, i == j)?;
-                    let error = result["figures"][quantity.figure]
-                        .as_f64()
-                        .with_context(|| format!("no {} was measured", quantity.figure))?;
-                    errors.insert((*candidate).into(), json!(error * quantity.unit.1));
+                    errors.insert((*candidate).into(), json!(error(&result, quantity)?));
                 }
                 rows.push(row(quantity, bag, other, &errors));
             }
@@ -230,9 +227,53 @@ fn learn(
     std::iter::once(CHOSEN).chain(CANDIDATES).map(learn).collect()
 }
 
+/// What positions are learned from: the ratios between channels and, in the second, the logarithm of their magnitude besides.
+const INPUTS: [&str; 2] = ["ratios", "direction"];
+
+/// A Gaussian process by each of [`INPUTS`], learned from each run: its mean error \[mm\] on unseen locations of that run and on the other.
+pub(super) fn inputs(root: &Path) -> Result<Value> {
+    let dir = scratch(root, "inputs")?;
+    let work = Work::begin(root, &POSITION, &dir)?;
+    let mut config = read_toml(&POSITION.config(root))?;
+    config.insert("model".into(), toml::toml! { candidates = ["gaussian"] }.into());
+    let mut rows = Vec::new();
+    for (i, bag) in work.bags.iter().enumerate() {
+        let mut learn = |input: &'static str| -> Result<_> {
+            config["network"]["input"] = input.into();
+            let (file, model) = (dir.join(format!("{input}-{i}.toml")), dir.join(format!("{input}-{i}")));
+            std::fs::write(&file, config.to_string())?;
+            work.train(&file, bag, &model, Some("location"))?;
+            Ok((input, model))
+        };
+        let models = INPUTS.into_iter().map(&mut learn).collect::<Result<Vec<_>>>()?;
+        for (j, other) in work.bags.iter().enumerate() {
+            let mut errors = serde_json::Map::new();
+            for (input, model) in &models {
+                let result = work.evaluate(model, other, i == j)?;
+                errors.insert((*input).into(), json!(error(&result, &POSITION)?));
+            }
+            rows.push(json!({
+                "trained_on": name(bag),
+                "tested_on": if i == j { Some("its unseen locations".to_owned()) } else { name(other) },
+                "errors_mm": errors,
+            }));
+        }
+    }
+    Ok(json!({ "rows": rows }))
+}
+
+/// The figure of an evaluation that transfers are judged by, in its unit.
+fn error(result: &Value, quantity: &Quantity) -> Result<f64> {
+    let figure = result["figures"][quantity.figure].as_f64();
+    Ok(figure.with_context(|| format!("no {} was measured", quantity.figure))? * quantity.unit.1)
+}
+
+fn name(bag: &Path) -> Option<String> {
+    bag.file_name().map(|n| n.to_string_lossy().into_owned())
+}
+
 /// Errors of one transfer, and what is chosen over the best of those that were alone.
 fn row(quantity: &Quantity, from: &Path, to: &Path, errors: &serde_json::Map<String, Value>) -> Value {
-    let name = |bag: &Path| bag.file_name().map(|n| n.to_string_lossy().into_owned());
     let of = |candidate: &str| errors.get(candidate).and_then(Value::as_f64);
     let best = CANDIDATES.iter().filter_map(|c| of(c)).fold(f64::NAN, f64::min);
     json!({
