@@ -193,3 +193,41 @@ fn tables_hold_the_frames_that_are_used() {
     assert!(used.len() <= 100);
     assert_eq!(rows.collect::<Vec<_>>(), used);
 }
+
+/// The statistics of an MCAP file count `count` messages on each channel (<https://mcap.dev/spec#statistics-op0x0b>).
+fn counting(file: &Path, count: u64) {
+    let mut bytes = std::fs::read(file).unwrap();
+    let number = |bytes: &[u8], at: usize| u64::from_le_bytes(bytes[at..at + 8].try_into().unwrap()) as usize;
+    // Footer: where the summary begins, where its offsets begin, and a checksum (0: none); then the magic bytes.
+    let footer = bytes.len() - 8 - 20;
+    bytes[footer + 16..footer + 20].fill(0);
+    let mut at = number(&bytes, footer);
+    while bytes[at] != 0x0b {
+        at += 9 + number(&bytes, at + 1);
+    }
+    // Behind numbers of messages and other records, and two instants, a map from channel to number of messages.
+    let map = at + 9 + 8 + 2 + 4 * 4 + 8 + 8;
+    let size = u32::from_le_bytes(bytes[map..map + 4].try_into().unwrap()) as usize;
+    for entry in (map + 4..map + 4 + size).step_by(10) {
+        bytes[entry + 2..entry + 10].copy_from_slice(&count.to_le_bytes());
+    }
+    std::fs::write(file, bytes).unwrap();
+}
+
+/// Memory is set aside by what the summary says; one that lies is refused where its frames are more.
+#[test]
+fn a_bag_with_more_frames_than_its_summary_counts_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = recording(dir.path(), 1000, Layout::Interleaved);
+    let is_mcap = |p: &PathBuf| p.extension().is_some_and(|e| e == "mcap");
+    let file = std::fs::read_dir(&path).unwrap().map(|e| e.unwrap().path()).find(is_mcap).unwrap();
+    let options = DatasetOptions { most_frames: 200, memory: 0, ..DatasetOptions::default() };
+    let read = |count| {
+        counting(&file, count);
+        Dataset::from_bags(&[&path], &skin(), &options)
+    };
+    assert_eq!(read(999).unwrap().runs()[0].frames(), 999);
+    let error = read(50).unwrap_err().to_string();
+    let first = error.lines().next().unwrap().replace(&path.display().to_string(), "BAG");
+    insta::assert_snapshot!(first, @"bag BAG: holds more than 200 frames, which its summary does not count, or which are too many for one bag: it is not read to its end; `dermis bag slice` writes it anew, or in parts");
+}
