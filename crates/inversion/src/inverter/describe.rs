@@ -2,13 +2,15 @@
 //!
 //! A contact that the readings locate has the covariance (JᵀJ)⁻¹ of least squares, scaled by what the minimum leaves beyond noise. One
 //! whose place is all but open is answered by its posterior mean over the dictionary: locations are equally likely by their area, the
-//! force at each is Gaussian and cut off at 0. That costs one product with the dictionary.
+//! force at each is Gaussian and cut off at 0, and within the pitch of the dictionary all stays open. That costs one product with the dictionary.
+//! What the best minimum leaves beyond noise counts as noise there, too ([`super::excess`]).
 
 use dermis_model::{Unknowns, tangents};
 use nalgebra::{DMatrix, Matrix3, Point3, Vector3};
 
 use super::{Inverter, counted, residuals};
 use crate::contact::ContactEstimate;
+use crate::dictionary::Location;
 use crate::fit::{Datum, Minimum};
 use crate::settings::{ForcePrior, Search};
 
@@ -44,8 +46,9 @@ impl Inverter {
             .collect()
     }
 
-    /// Mean and covariance of one contact over all locations and forces, each as likely as any other before the reading.
-    pub(super) fn mean(&self, data: &[Datum], sharp: &ContactEstimate) -> ContactEstimate {
+    /// Mean and covariance of one contact over all locations and forces, each as likely as any other before the reading; `excess` by which
+    /// the noise counts.
+    pub(super) fn mean(&self, data: &[Datum], sharp: &ContactEstimate, excess: f64) -> ContactEstimate {
         let levels = &self.dictionary.forces;
         let mut terms: Vec<(f64, f64, f64, usize)> = Vec::with_capacity(self.dictionary.locations.len());
         let mut least = f64::INFINITY;
@@ -81,19 +84,19 @@ impl Inverter {
         for (found, square, chi2, index) in terms {
             let spot = &self.dictionary.locations[index];
             // The force is Gaussian about `found`, cut off at 0 (and, far away, at the largest).
-            let deviation = 1.0 / square.sqrt();
+            let deviation = (excess / square).sqrt();
             let (mass, mean, variance) = truncated(found, deviation);
             let mass = match self.settings.force_prior {
                 ForcePrior::Uniform => mass,
                 ForcePrior::Log if found > self.settings.force_max + 2.0 * deviation => continue,
                 ForcePrior::Log => mass / mean.max(1e-9),
             };
-            let weight = spot.area * mass * deviation * (-(chi2 - least) / 2.0).exp();
+            let weight = spot.area * mass * deviation * (-(chi2 - least) / (2.0 * excess)).exp();
             total += weight;
             force += weight * mean;
             force_square += weight * (variance + mean * mean);
             location += spot.position.coords * weight;
-            second += spot.position.coords * spot.position.coords.transpose() * weight;
+            second += (spot.position.coords * spot.position.coords.transpose() + self.cell(spot)) * weight;
         }
         if !(total > 0.0 && total.is_finite()) {
             return sharp.clone();
@@ -120,6 +123,13 @@ impl Inverter {
 }
 
 impl Inverter {
+    /// \[m²\] covariance of a place that is somewhere in the cell of a location of the dictionary.
+    fn cell(&self, location: &Location) -> Matrix3<f64> {
+        let [first, second] = tangents(&location.normal);
+        let along = |axis: Vector3<f64>| axis * axis.transpose() * (self.spacing * self.spacing / 12.0);
+        along(first) + if self.line.is_some() { Matrix3::zeros() } else { along(second) }
+    }
+
     /// Locations of the dictionary that a mean over all has to evaluate. On a skin of very many elements, those that explain so much less than the best
     /// that they weigh nothing follow from one product.
     fn likely(&self, data: &[Datum]) -> Vec<usize> {

@@ -5,13 +5,14 @@
 //! that may hold a minimum are all refined; each minimum has the evidence of its Laplace approximation, √det C · exp(−χ²/2) times the
 //! prior of its force (D. J. C. MacKay, *Neural Comput.* 4 (1992) 415, eq. 4.1). The answer is their mean, which has the least expected
 //! square of the error (S. M. Kay, *Fundamentals of Statistical Signal Processing* I, 10.3). A place may hold a minimum where it explains
-//! the readings better than its neighbours do, and where what it leaves is no more than noise and the pitch of the dictionary leave.
+//! the readings better than its neighbours do, and where what it leaves is no more than noise and the pitch of the dictionary leave. Where
+//! the best minimum leaves more than noise, χ² is in units of what it leaves ([`excess`]).
 //! Assumptions: as the search's; minima are Gaussian and apart. Cost: one product with the dictionary, and a minimisation for each candidate.
 
 use dermis_model::{Indentation, Unknown, Unknowns};
 use nalgebra::{Matrix3, Point3, Vector3};
 
-use super::{Inverter, counted, plausible, residuals};
+use super::{Inverter, counted, excess, plausible, residuals};
 use crate::contact::{ContactEstimate, Reading, Solution};
 use crate::fit::{Datum, Minimum, Problem, sum_of_squares};
 use crate::settings::InverterError;
@@ -79,12 +80,15 @@ impl Inverter {
             }
             self.add(&mut minima, problem.minimise(vec![self.pressed(*index, &left)])?);
         }
-        Ok(self.weighted(minima))
+        Ok(self.weighted(minima, data))
     }
 
     /// Minima with their shares of the evidence, the likeliest first.
-    fn weighted(&self, minima: Vec<Minimum>) -> Vec<Mode> {
-        let evidence: Vec<f64> = minima.iter().map(|m| self.log_evidence(m)).collect();
+    fn weighted(&self, minima: Vec<Minimum>, data: &[Datum]) -> Vec<Mode> {
+        let freedom = counted(data).saturating_sub(self.settings.unknowns.count());
+        let least = minima.iter().map(|m| m.chi2).fold(f64::INFINITY, f64::min);
+        let excess = excess(least, freedom);
+        let evidence: Vec<f64> = minima.iter().map(|m| self.log_evidence(m, excess)).collect();
         let most = evidence.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let mut modes: Vec<Mode> = minima
             .into_iter()
@@ -123,7 +127,7 @@ impl Inverter {
         for start in self.settings.indentations(minima) {
             self.add(&mut found, problem.minimise(vec![start])?);
         }
-        let modes = self.weighted(found);
+        let modes = self.weighted(found, &data);
         let explains = |mode: &&Mode| mode.minimum.chi2 <= plausible(freedom);
         Ok(modes.first().filter(explains).map(|best| self.among(&best.minimum, &modes, &data)))
     }
@@ -265,16 +269,17 @@ impl Inverter {
     /// Logarithm of a minimum's evidence but for a constant; −∞ where the readings do not fix it.
     ///
     /// A minimum answers for its own surroundings only, however flat it is: before the reading, its place is Gaussian with what counts
-    /// as far, its forces with the largest one.
-    fn log_evidence(&self, minimum: &Minimum) -> f64 {
-        let information = minimum.covariance.as_ref().and_then(|c| c.clone().try_inverse());
+    /// as far, its forces with the largest one. Squares of deviations count as noise whose variance is `excess` times as large.
+    fn log_evidence(&self, minimum: &Minimum, excess: f64) -> f64 {
+        let information = minimum.covariance.as_ref().and_then(|c| (c * excess).try_inverse());
         let Some(mut information) = information else { return f64::NEG_INFINITY };
         let (far, strong) = (APART * self.spacing, self.settings.force_max);
         for (k, unknown) in self.settings.unknowns.list().iter().enumerate() {
             let scale = if matches!(unknown, Unknown::Along(_)) { far } else { strong };
             information[(k, k)] += scale.powi(-2);
         }
-        -0.5 * (information.determinant().ln() + self.score(minimum))
+        let penalty = self.settings.force_prior.penalty(&minimum.contacts);
+        -0.5 * (information.determinant().ln() + minimum.chi2 / excess + penalty)
     }
 
     /// Locations of the dictionary that may hold a minimum, the best first.

@@ -58,6 +58,31 @@ fn a_weak_contact_is_answered_by_its_mean() {
     assert!((0.7..1.4).contains(&(said / error)), "{said} is said, {error} is true");
 }
 
+/// A device that differs from its model, here by ten times the noise, is answered as unsurely as what is left says.
+#[test]
+fn what_is_left_beyond_noise_counts_as_noise() {
+    let (inverter, _) = inverter(20.0, |_| ());
+    let device = grid(200.0);
+    let mut random = random(6);
+    // Where many locations explain the readings, and where one does.
+    for (force, least, most) in [(0.12, 0.7, 1.6), (2.0, 0.8, 1.25)] {
+        let (mut error, mut said) = (0.0, 0.0);
+        for _ in 0..400 {
+            let truth = press(random.random_range(-0.012..0.012), random.random_range(-0.012..0.012), force);
+            let solution =
+                inverter.solve(&read(&device, std::slice::from_ref(&truth), &mut random), None).unwrap();
+            let [found] = solution.contacts.as_slice() else { panic!("{solution:?}") };
+            error += (found.position - truth.position).norm_squared();
+            let widest = found.position_covariance.symmetric_eigenvalues().max();
+            let least = found.position_covariance.symmetric_eigenvalues().min();
+            assert!(least > -1e-9 * widest, "a covariance: {}", found.position_covariance);
+            said += found.deviation().powi(2);
+        }
+        let ratio = (said / error).sqrt();
+        assert!((least..most).contains(&ratio), "{force} N: {ratio} of the error is said");
+    }
+}
+
 #[test]
 fn pairs_are_found_among_all_pairs() {
     let (inverter, model) = inverter(1e-3, |s| s.contacts = 3);
@@ -291,7 +316,7 @@ fn locations_count_with_their_area() {
         position_covariance: nalgebra::Matrix3::identity(),
         force_covariance: nalgebra::Matrix3::identity(),
     };
-    let mean = |model: Analytic| inverter(model).mean(&data, &sharp).position;
+    let mean = |model: Analytic| inverter(model).mean(&data, &sharp, 1.0).position;
     let (even, uneven) = (mean(grid(20.0)), mean(lopsided(1.0)));
     assert!(even.x.abs() < 1e-4, "{even}");
     assert!((6.5e-3..7.5e-3).contains(&uneven.x) && uneven.y.abs() < 1e-4, "{uneven}");
