@@ -4,16 +4,14 @@
 //! rows, and does not count. A table with a column of figures is a table of figures. A cell is a figure where it begins with a digit,
 //! after a sign, a bracket or a comparison, or where it holds a number with a unit. Code is no figure. A row of a table begins with `|`.
 //!
-//! A table of figures stands between the comments that [`super::tables`] generates it from, or right under one of two markers:
+//! A table of figures that were measured stands between the comments that [`super::tables`] generates it from. One of figures that nobody
+//! measured (defaults, limits, what a paper states) stands right under a marker:
 //!
 //! ```text
-//! <!-- measured by hand: COMMAND, COMMIT -->
 //! <!-- given: SOURCE -->
 //! ```
 //!
-//! The first is for figures that no file in `benches/results/` holds. COMMAND is what measures them, COMMIT the commit that entered
-//! them into the book. A sentence of the page names the commit, too, because a reader does not see comments. The second is for figures
-//! that nobody measured: defaults, limits, what a paper states. A word of SOURCE with a `/` is a path in the repository, or a URL.
+//! A word of SOURCE with a `/` is a path in the repository, or a URL.
 //!
 //! A page that a program writes as a whole says so in a comment that begins with [`MADE`], and is left out.
 
@@ -21,8 +19,6 @@ use std::collections::BTreeMap;
 
 use super::tables;
 
-/// Begins a marker of figures that no record holds.
-const BY_HAND: &str = "<!-- measured by hand: ";
 /// Begins a marker of figures that were not measured.
 const GIVEN: &str = "<!-- given: ";
 /// Begins a page that is generated as a whole.
@@ -51,7 +47,7 @@ pub fn unmarked(text: &str, exists: impl Fn(&str) -> bool) -> Vec<(usize, String
                 if let Some(before) = marker.replace(*at) {
                     wrong.push((before, NO_TABLE.to_owned()));
                 }
-                if let Err(why) = check(said, &visible, &exists) {
+                if let Err(why) = check(said, &exists) {
                     wrong.push((*at, why));
                 }
             }
@@ -79,8 +75,8 @@ pub fn unmarked(text: &str, exists: impl Fn(&str) -> bool) -> Vec<(usize, String
 }
 
 const NO_TABLE: &str = "a marker of a table stands right above none";
-const UNMARKED: &str = "a table of figures is neither generated (`<!-- table`) nor marked \
-                        (`<!-- measured by hand: COMMAND, COMMIT -->` or `<!-- given: SOURCE -->`)";
+const UNMARKED: &str =
+    "a table of figures is neither generated (`<!-- table`) nor marked (`<!-- given: SOURCE -->`)";
 
 enum Line<'a> {
     Text(usize, &'a str),
@@ -109,7 +105,7 @@ fn visible(text: &str) -> Vec<Line<'_>> {
         if fence.is_some() {
             continue;
         }
-        if line.starts_with(BY_HAND) || line.starts_with(GIVEN) {
+        if line.starts_with(GIVEN) {
             found.push(Line::Marker(i + 1, line.trim_end()));
             continue;
         }
@@ -129,26 +125,14 @@ fn visible(text: &str) -> Vec<Line<'_>> {
 }
 
 /// What is wrong with a marker.
-fn check(marker: &str, page: &[Line], exists: &impl Fn(&str) -> bool) -> Result<(), String> {
-    let said = |start: &str| marker.strip_prefix(start).and_then(|s| s.strip_suffix(" -->")).map(str::trim);
-    if let Some(source) = said(GIVEN).filter(|s| !s.is_empty()) {
-        let mut paths = source.split_whitespace().map(|word| word.trim_matches([',', ';', '`']));
-        let gone = paths.find(|word| word.contains('/') && !word.contains("://") && !exists(word));
-        return gone.map_or(Ok(()), |path| Err(format!("`{marker}` names {path}, which is not there")));
-    }
-    let hexadecimal = |c: char| c.is_ascii_digit() || ('a'..='f').contains(&c);
-    let (_, commit) = said(BY_HAND)
-        .and_then(|said| said.rsplit_once(", "))
-        .filter(|(command, commit)| {
-            !command.trim().is_empty() && (7..=40).contains(&commit.len()) && commit.chars().all(hexadecimal)
-        })
-        .ok_or_else(|| {
-            format!("`{marker}` is not of the form `{BY_HAND}COMMAND, COMMIT -->` or `{GIVEN}SOURCE -->`")
-        })?;
-    if page.iter().any(|line| matches!(line, Line::Text(_, text) if text.contains(commit))) {
-        return Ok(());
-    }
-    Err(format!("no sentence of the page names the commit of `{marker}`"))
+fn check(marker: &str, exists: &impl Fn(&str) -> bool) -> Result<(), String> {
+    let source = marker.strip_prefix(GIVEN).and_then(|s| s.strip_suffix(" -->")).map(str::trim);
+    let source = source
+        .filter(|source| !source.is_empty())
+        .ok_or_else(|| format!("`{marker}` is not of the form `{GIVEN}SOURCE -->`"))?;
+    let mut paths = source.split_whitespace().map(|word| word.trim_matches([',', ';', '`']));
+    let gone = paths.find(|word| word.contains('/') && !word.contains("://") && !exists(word));
+    gone.map_or(Ok(()), |path| Err(format!("`{marker}` names {path}, which is not there")))
 }
 
 fn is_row(line: &str) -> bool {
@@ -221,9 +205,6 @@ mod tests {
             format!("<!-- table\n{MEASURED}-->\n\n{MEASURED}\n<!-- end table -->\n"),
             format!("<!-- table once run: cargo x\n{MEASURED}-->\n\n{MEASURED}\n<!-- end table -->\n"),
             format!("<!-- targets speed. -->\n\n{MEASURED}\n<!-- end table -->\n"),
-            format!(
-                "Entered at 90b7c2e.\n\n<!-- measured by hand: dermis x, or y, 90b7c2e -->\n\n{MEASURED}"
-            ),
             format!("<!-- given: Table 5.2 of the thesis -->\n{MEASURED}"),
             format!("<!-- given: src/limits.rs, https://example.org/a -->\n{MEASURED}"),
             format!("```text\n{MEASURED}```\n"),
@@ -235,16 +216,8 @@ mod tests {
 
     #[test]
     fn a_marker_is_complete_and_stands_over_its_table() {
-        for marker in [
-            "<!-- measured by hand: dermis gap close -->",
-            "<!-- measured by hand: dermis gap close, yesterday -->",
-            "<!-- measured by hand: , 90b7c2e -->",
-            // Named by no sentence.
-            "<!-- measured by hand: dermis gap close, 1234567 -->",
-            "<!-- given:  -->",
-            "<!-- given: src/gone.rs -->",
-        ] {
-            assert_eq!(wrong(&format!("At 90b7c2e.\n\n{marker}\n\n{MEASURED}")), [3], "{marker}");
+        for marker in ["<!-- given:  -->", "<!-- given: src/gone.rs -->"] {
+            assert_eq!(wrong(&format!("Text.\n\n{marker}\n\n{MEASURED}")), [3], "{marker}");
         }
         let given = "<!-- given: a paper -->";
         assert_eq!(wrong(&format!("{given}\n\nText.\n\n{MEASURED}")), [1, 5]);
