@@ -289,12 +289,21 @@ impl Inverter {
         if let [single] = contacts.as_mut_slice()
             && self.is_broad(single)
         {
-            let freedom = counted.saturating_sub(self.settings.unknowns.count());
-            *single = self.mean(data, single, excess(best.chi2, freedom));
+            *single = self.mean(data, single, self.excess(best.chi2, data));
         }
         contacts.sort_by(|a, b| b.normal_force().total_cmp(&a.normal_force()));
         let freedom = counted.saturating_sub(self.settings.unknowns.count() * contacts.len());
         Solution { contacts, minima: Vec::new(), chi2: best.chi2, freedom }
+    }
+
+    /// By how much larger the squares of all errors are than noise makes them, as what the best minimum of one contact leaves says; 1 where
+    /// noise explains it.
+    ///
+    /// A device that differs from its model leaves many times what noise does. Taken for noise, that rules out all but one location (the
+    /// variance factor of weighted least squares: Å. Björck, *Numerical Methods for Least Squares Problems*, 1996, §1.1).
+    fn excess(&self, chi2: f64, data: &[Datum]) -> f64 {
+        let freedom = counted(data).saturating_sub(self.settings.unknowns.count());
+        if freedom > 0 && chi2 > plausible(freedom) { chi2 / freedom as f64 } else { 1.0 }
     }
 
     /// Readings in units of their noise; what is missing is 0.
@@ -355,15 +364,6 @@ pub(crate) fn counted(data: &[Datum]) -> usize {
 /// Up to where a sum of squared deviations with so many degrees of freedom is what noise leaves.
 pub(crate) fn plausible(freedom: usize) -> f64 {
     freedom as f64 + PLAUSIBLE * (2.0 * freedom as f64).sqrt()
-}
-
-/// By how much larger the squares of all errors are than noise makes them, as what the best minimum leaves says; 1 where noise explains it.
-///
-/// A device that differs from its model leaves many times what noise does. Taken for noise, that would rule out all but one location, which
-/// nearly every time is the wrong one (the variance factor of weighted least squares: Å. Björck, *Numerical Methods for Least Squares
-/// Problems*, 1996, §1.1).
-pub(crate) fn excess(chi2: f64, freedom: usize) -> f64 {
-    if freedom > 0 && chi2 > plausible(freedom) { chi2 / freedom as f64 } else { 1.0 }
 }
 
 /// What a model signal leaves of data, in units of their noise.

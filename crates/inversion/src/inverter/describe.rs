@@ -3,7 +3,7 @@
 //! A contact that the readings locate has the covariance (JᵀJ)⁻¹ of least squares, scaled by what the minimum leaves beyond noise. One
 //! whose place is all but open is answered by its posterior mean over the dictionary: locations are equally likely by their area, the
 //! force at each is Gaussian and cut off at 0, and within the pitch of the dictionary all stays open. That costs one product with the dictionary.
-//! What the best minimum leaves beyond noise counts as noise there, too ([`super::excess`]).
+//! What the best minimum leaves beyond noise counts as noise there, too ([`Inverter::excess`]).
 
 use dermis_model::{Unknowns, tangents};
 use nalgebra::{DMatrix, Matrix3, Point3, Vector3};

@@ -6,13 +6,13 @@
 //! prior of its force (D. J. C. MacKay, *Neural Comput.* 4 (1992) 415, eq. 4.1). The answer is their mean, which has the least expected
 //! square of the error (S. M. Kay, *Fundamentals of Statistical Signal Processing* I, 10.3). A place may hold a minimum where it explains
 //! the readings better than its neighbours do, and where what it leaves is no more than noise and the pitch of the dictionary leave. Where
-//! the best minimum leaves more than noise, χ² is in units of what it leaves ([`excess`]).
+//! the best minimum leaves more than noise, χ² is in units of what it leaves ([`Inverter::excess`]).
 //! Assumptions: as the search's; minima are Gaussian and apart. Cost: one product with the dictionary, and a minimisation for each candidate.
 
 use dermis_model::{Indentation, Unknown, Unknowns};
 use nalgebra::{Matrix3, Point3, Vector3};
 
-use super::{Inverter, counted, excess, plausible, residuals};
+use super::{Inverter, counted, plausible, residuals};
 use crate::contact::{ContactEstimate, Reading, Solution};
 use crate::fit::{Datum, Minimum, Problem, sum_of_squares};
 use crate::settings::InverterError;
@@ -85,9 +85,7 @@ impl Inverter {
 
     /// Minima with their shares of the evidence, the likeliest first.
     fn weighted(&self, minima: Vec<Minimum>, data: &[Datum]) -> Vec<Mode> {
-        let freedom = counted(data).saturating_sub(self.settings.unknowns.count());
-        let least = minima.iter().map(|m| m.chi2).fold(f64::INFINITY, f64::min);
-        let excess = excess(least, freedom);
+        let excess = self.excess(minima.iter().map(|m| m.chi2).fold(f64::INFINITY, f64::min), data);
         let evidence: Vec<f64> = minima.iter().map(|m| self.log_evidence(m, excess)).collect();
         let most = evidence.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let mut modes: Vec<Mode> = minima
