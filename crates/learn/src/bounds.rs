@@ -150,8 +150,8 @@ pub struct Ratio {
     /// Median of error over bound of single contacts.
     pub median_ratio: f64,
     /// \[m\] root mean square of the error of a position as the estimator states it, of contacts that were found; absent where it does not of
-    /// all of these. Where readings
-    /// fit at several locations nearly as well, it is more than the bound, which knows one: no estimator can be sure of the right one.
+    /// all of these. Where readings fit at several locations nearly as well, it is more than the bound, which knows one: no estimator can be
+    /// sure of the right one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stated_rms: Option<f64>,
     /// The same of contacts that were found; absent where all were, or none.
