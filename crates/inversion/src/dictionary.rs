@@ -121,6 +121,17 @@ pub(crate) const SHAPE: usize = 1;
 const LIGHT: usize = 0;
 
 impl Dictionary {
+    /// \[m²\] largest variance along any direction of a place that is anywhere on the surface.
+    pub fn variance(&self) -> f64 {
+        let area: f64 = self.locations.iter().map(|l| l.area).sum();
+        let mean = self.locations.iter().map(|l| l.position.coords * l.area).sum::<Vector3<f64>>() / area;
+        let spread = |l: &Location| {
+            let away = l.position.coords - mean;
+            away * away.transpose() * (l.area / area)
+        };
+        self.locations.iter().map(spread).sum::<Matrix3<f64>>().symmetric_eigenvalues().max()
+    }
+
     /// Locations about `spacing` \[m\] apart, out of the points of the model's surface; on its middle line along x where only
     /// x is looked for, and within a region where one is given.
     pub fn new(

@@ -65,6 +65,8 @@ pub struct Inverter {
     line: Option<f64>,
     dictionary: Dictionary,
     pairs: Pairs,
+    /// \[m²\] variance of a place that is anywhere on the surface, along each direction of it.
+    anywhere: f64,
 }
 
 struct ModelBox(Arc<dyn ForwardModel>);
@@ -96,7 +98,18 @@ impl Inverter {
         let line = (s.unknowns == Unknowns::Line).then_some(middle);
         let dictionary = Dictionary::new(model.as_ref(), (line, s.region), spacing, s, &gains)?;
         let pairs = Pairs::new(&dictionary, spacing);
-        Ok(Self { model: ModelBox(model), settings, gains, untouched, spacing, line, dictionary, pairs })
+        let anywhere = dictionary.variance().max(spacing * spacing);
+        Ok(Self {
+            model: ModelBox(model),
+            settings,
+            gains,
+            untouched,
+            spacing,
+            line,
+            dictionary,
+            pairs,
+            anywhere,
+        })
     }
 
     /// Its settings.
@@ -291,6 +304,7 @@ impl Inverter {
         {
             *single = self.mean(data, single, self.excess(best.chi2, data));
         }
+        contacts.iter_mut().for_each(|contact| self.bound(contact));
         contacts.sort_by(|a, b| b.normal_force().total_cmp(&a.normal_force()));
         let freedom = counted.saturating_sub(self.settings.unknowns.count() * contacts.len());
         Solution { contacts, minima: Vec::new(), chi2: best.chi2, freedom }

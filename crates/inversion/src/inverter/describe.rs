@@ -123,6 +123,17 @@ impl Inverter {
 }
 
 impl Inverter {
+    /// Takes into the covariances what is known before the reading: that the place is on the surface, and that a force is no more than the
+    /// largest. Without it, readings that hardly fix a contact leave it kilometres open.
+    pub(super) fn bound(&self, contact: &mut ContactEstimate) {
+        let strongest = self.settings.force_max.powi(2);
+        let axis = contact.normal * contact.normal.transpose();
+        let surface = Matrix3::identity() - axis;
+        let forces = if self.settings.unknowns == Unknowns::Full { Matrix3::identity() } else { axis };
+        contact.position_covariance = bounded(&contact.position_covariance, self.anywhere, &surface);
+        contact.force_covariance = bounded(&contact.force_covariance, strongest, &forces);
+    }
+
     /// \[m²\] covariance of a place that is somewhere in the cell of a location of the dictionary.
     fn cell(&self, location: &Location) -> Matrix3<f64> {
         let [first, second] = tangents(&location.normal);
@@ -173,6 +184,17 @@ fn covariances(
         all
     };
     (spread(&along, 0), spread(&forces, along.len()))
+}
+
+/// A covariance with prior knowledge of this variance along each of its directions, (C⁻¹ + P⁻¹)⁻¹; `directions` projects on those that vary, for a
+/// covariance that is unknown.
+fn bounded(covariance: &Matrix3<f64>, variance: f64, directions: &Matrix3<f64>) -> Matrix3<f64> {
+    if !covariance.iter().all(|v| v.is_finite()) {
+        return directions * variance;
+    }
+    let mut eigen = covariance.symmetric_eigen();
+    eigen.eigenvalues.apply(|v| *v = v.max(0.0) * variance / (v.max(0.0) + variance));
+    eigen.recompose()
 }
 
 /// Mass, mean and variance of a Gaussian that is cut off below 0.

@@ -83,6 +83,44 @@ fn what_is_left_beyond_noise_counts_as_noise() {
     }
 }
 
+/// What readings leave open is no more open than the surface, and a force no more than the largest; what they fix stays as it is.
+#[test]
+fn no_place_is_more_open_than_the_surface() {
+    let (inverter, model) = inverter(20.0, |_| ());
+    let surface = nalgebra::Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, 0.0));
+    let pressing = nalgebra::Matrix3::from_diagonal(&Vector3::z());
+    let bounded = |place: f64, force: f64| {
+        let mut contact = ContactEstimate {
+            position: Point3::origin(),
+            normal: Vector3::z(),
+            force: -Vector3::z(),
+            diameter: 0.004,
+            position_covariance: surface * place,
+            force_covariance: pressing * force,
+        };
+        inverter.bound(&mut contact);
+        contact
+    };
+    let (x, count) = model.surface().points.iter().fold((0.0, 0.0), |(x, n), p| (x + p.x * p.x, n + 1.0));
+    for open in [bounded(1e8, 1e8), bounded(f64::INFINITY, f64::NAN)] {
+        approx::assert_relative_eq!(open.position_covariance, surface * (x / count), max_relative = 0.1);
+        approx::assert_relative_eq!(open.force_covariance, pressing * 4.0, max_relative = 1e-6);
+    }
+    let sharp = bounded(1e-8, 1e-4);
+    approx::assert_relative_eq!(
+        sharp.position_covariance,
+        surface * 1e-8,
+        max_relative = 1e-3,
+        epsilon = 1e-20
+    );
+    approx::assert_relative_eq!(
+        sharp.force_covariance,
+        pressing * 1e-4,
+        max_relative = 1e-3,
+        epsilon = 1e-15
+    );
+}
+
 #[test]
 fn pairs_are_found_among_all_pairs() {
     let (inverter, model) = inverter(1e-3, |s| s.contacts = 3);

@@ -22,7 +22,7 @@ const QUANTILES: [f64; 3] = [3.841, 5.991, 7.815];
 /// The error of one position beside the covariance that the estimator states of it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stated {
-    /// \[m\] √tr C.
+    /// \[m\] √tr C, of the directions in which C has an extent.
     pub deviation: f64,
     /// ε \[1\].
     pub square: f64,
@@ -39,14 +39,14 @@ impl Stated {
         let eigen = covariance.symmetric_eigen();
         let least = eigen.eigenvalues.max() * NO_EXTENT;
         let along = eigen.eigenvalues.iter().zip(eigen.eigenvectors.column_iter());
-        let squares: Vec<f64> = along
+        let stated: Vec<(f64, f64)> = along
             .filter(|(variance, _)| **variance > least)
-            .map(|(variance, axis)| axis.dot(error).powi(2) / variance)
+            .map(|(&variance, axis)| (variance, axis.dot(error).powi(2) / variance))
             .collect();
-        (!squares.is_empty()).then(|| Self {
-            deviation: covariance.trace().sqrt(),
-            square: squares.iter().sum(),
-            freedom: squares.len(),
+        (!stated.is_empty()).then(|| Self {
+            deviation: stated.iter().map(|(variance, _)| variance).sum::<f64>().sqrt(),
+            square: stated.iter().map(|(_, square)| square).sum(),
+            freedom: stated.len(),
         })
     }
 
