@@ -35,6 +35,8 @@ const APART: f64 = 0.030;
 const CLAMP: f64 = 0.020;
 /// \[m\] of the tips.
 const DIAMETER: f64 = 0.010;
+/// Gains of a device that differs from its model, by channel: mean and standard deviation, `gauge-gain` of launch/effects/hapdef-default.toml.
+const GAINS: [f64; 2] = [0.95, 0.08];
 
 /// What to measure.
 #[derive(Debug, Args)]
@@ -53,7 +55,7 @@ pub struct Options {
     rate: f64,
 }
 
-/// Measures the bundle for one contact with one, and that for two with one and with two.
+/// Measures the bundle for one contact with one, on a device as designed and on one that differs, and that for two with one and with two.
 ///
 /// # Errors
 ///
@@ -62,27 +64,37 @@ pub fn run(options: &Options) -> Result<Value> {
     let skin = SkinDescription::load(options.root.join("launch/skins/hapdef-shin.toml"))?;
     let model = dermis_hapdef::model(&skin)?;
     let mut rows = Vec::new();
-    for (n, (bundle, contacts)) in
-        [("hapdef-shin", 1), ("hapdef-shin-two", 1), ("hapdef-shin-two", 2)].into_iter().enumerate()
-    {
-        let name = format!("{bundle}, {contacts} pressing");
+    let cases = [
+        ("hapdef-shin", 1, false),
+        ("hapdef-shin", 1, true),
+        ("hapdef-shin-two", 1, false),
+        ("hapdef-shin-two", 2, false),
+    ];
+    for (n, (bundle, contacts, differs)) in cases.into_iter().enumerate() {
+        let name = format!("{bundle}, {contacts} pressing{}", if differs { ", differs" } else { "" });
         eprintln!("measuring {name}");
-        let device = device(&skin, model.as_ref(), contacts)?;
-        let domain = 20 + (std::process::id() % 10) as u16 * 3 + n as u16;
+        let device = device(&skin, model.as_ref(), contacts, differs)?;
+        let domain = 20 + (std::process::id() % 10) as u16 * 4 + n as u16;
         let mut row = measure(options, device, &options.root.join("models").join(bundle), domain)
             .with_context(|| name.clone())?;
         (row["name"], row["pressing"]) = (json!(name), json!(contacts));
+        row["gains"] = json!(differs.then_some(GAINS));
         rows.push(row);
     }
     table(&rows, options.rate);
     Ok(json!({
         "rate_hz": options.rate, "seconds": options.seconds,
-        "one": rows[0], "two_bundle_one_pressing": rows[1], "two": rows[2],
+        "one": rows[0], "one_differs": rows[1], "two_bundle_one_pressing": rows[2], "two": rows[3],
     }))
 }
 
-/// Scenes of so many contacts each, that begin and end together.
-fn device(skin: &SkinDescription, model: &dyn ForwardModel, contacts: usize) -> Result<Device> {
+/// Scenes of so many contacts each, that begin and end together; the device has gains of its own where it `differs`.
+fn device(
+    skin: &SkinDescription,
+    model: &dyn ForwardModel,
+    contacts: usize,
+    differs: bool,
+) -> Result<Device> {
     let mut random = ChaCha8Rng::seed_from_u64(40 + contacts as u64);
     let surface = model.surface();
     let most = surface.points.iter().map(|p| p.x.abs()).fold(0.0, f64::max);
@@ -90,6 +102,9 @@ fn device(skin: &SkinDescription, model: &dyn ForwardModel, contacts: usize) -> 
         (0..surface.points.len()).filter(|i| surface.points[*i].x.abs() < most - CLAMP).collect();
     let mut rest = vec![0.0; model.channels()];
     model.response(&Stimulus::default(), &mut rest)?;
+    let [mean, spread] = GAINS;
+    let mut gain = || if differs { mean + spread * random.sample::<f64, _>(StandardNormal) } else { 1.0 };
+    let gains: Vec<f64> = rest.iter().map(|_| gain()).collect();
     let mut touched = Vec::new();
     for _ in 0..SCENES {
         let mut at: Vec<usize> = Vec::new();
@@ -111,6 +126,9 @@ fn device(skin: &SkinDescription, model: &dyn ForwardModel, contacts: usize) -> 
             .collect();
         let mut pressed = vec![0.0; model.channels()];
         model.response(&Stimulus { contacts: held, ..Stimulus::default() }, &mut pressed)?;
+        for ((pressed, rest), gain) in pressed.iter_mut().zip(&rest).zip(&gains) {
+            *pressed = rest + gain * (*pressed - rest);
+        }
         let share = |k: usize| match k {
             k if k < RISE => k as f64 / RISE as f64,
             k if k < RISE + HOLD => 1.0,
@@ -210,13 +228,13 @@ pub fn summary(seen: &[Arrival], sent: &[i64], frames: u64, rate: f64, cores: f6
 /// Prints such summaries as a table.
 pub fn table(rows: &[Value], rate: f64) {
     eprintln!(
-        "\n{:<28} {:>8} {:>8} {:>9} {:>15} {:>15} {:>12} {:>7}",
+        "\n{:<34} {:>8} {:>8} {:>9} {:>15} {:>15} {:>12} {:>7}",
         "bundle", "p50 ms", "p99 ms", "max ms", "touched p50 ms", "touched p99 ms", "dropped", "cores"
     );
     for row in rows {
         let (all, touched) = (&row["latency"], &row["latency_touched"]);
         eprintln!(
-            "{:<28} {:>8} {:>8} {:>9} {:>15} {:>15} {:>10} % {:>7}",
+            "{:<34} {:>8} {:>8} {:>9} {:>15} {:>15} {:>10} % {:>7}",
             row["name"].as_str().unwrap_or(""),
             number(&all["p50_ms"], 3),
             number(&all["p99_ms"], 3),

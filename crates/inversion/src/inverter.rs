@@ -23,7 +23,7 @@ use dermis_skin::Surface;
 
 use crate::contact::{ContactEstimate, Reading, Solution};
 use crate::dictionary::{Dictionary, SHAPE};
-use crate::fit::{Datum, LEAST_GAIN, Minimum, Problem, STRIDE};
+use crate::fit::{Datum, LEAST_GAIN, Minimum, Problem, STRIDE, sum_of_squares};
 use crate::pairs::Pairs;
 use crate::settings::{InverterError, Search, Settings};
 use modes::Mode;
@@ -307,7 +307,9 @@ impl Inverter {
         contacts.iter_mut().for_each(|contact| self.bound(contact));
         contacts.sort_by(|a, b| b.normal_force().total_cmp(&a.normal_force()));
         let freedom = counted.saturating_sub(self.settings.unknowns.count() * contacts.len());
-        Solution { contacts, minima: Vec::new(), chi2: best.chi2, freedom }
+        let beyond = if best.chi2 > plausible(freedom) { best.chi2 - freedom as f64 } else { 0.0 };
+        let misfit = beyond / sum_of_squares(data).max(f64::MIN_POSITIVE);
+        Solution { contacts, minima: Vec::new(), chi2: best.chi2, freedom, misfit }
     }
 
     /// By how much larger the squares of all errors are than noise makes them, as what the best minimum of one contact leaves says; 1 where

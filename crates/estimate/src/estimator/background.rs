@@ -45,13 +45,29 @@ impl Job {
 
 type Found = Result<Solution, InverterError>;
 
+/// What later frames ask of a search that has ended.
+#[derive(Default)]
+struct Latest {
+    strongest: Option<ContactEstimate>,
+    misfit: f64,
+}
+
+impl Latest {
+    fn of(found: &Found) -> Self {
+        found.as_ref().map_or_else(
+            |_| Self::default(),
+            |found| Self { strongest: found.contacts.first().cloned(), misfit: found.misfit },
+        )
+    }
+}
+
 /// The thread, from the first search on, and what it works on.
 #[derive(Default)]
 pub(super) struct BackgroundSearch {
     thread: Option<(Sender<Job>, Receiver<Found>)>,
     searching: bool,
     /// What the latest search since contacts were forgotten has found; `None` where none has ended.
-    latest: Option<Vec<ContactEstimate>>,
+    latest: Option<Latest>,
     /// The search that runs is for contacts that are gone: its answer does not count.
     stale: bool,
 }
@@ -71,7 +87,7 @@ impl BackgroundSearch {
         self.searching = false;
         let answer = answer.filter(|_| !std::mem::take(&mut self.stale));
         if let Some(answer) = &answer {
-            self.latest = Some(answer.as_ref().map_or_else(|_| Vec::new(), |found| found.contacts.clone()));
+            self.latest = Some(Latest::of(answer));
         }
         answer
     }
@@ -87,7 +103,12 @@ impl BackgroundSearch {
 
     /// The strongest contact of the latest search since contacts were forgotten.
     pub(super) fn latest(&self) -> Option<&ContactEstimate> {
-        self.latest.as_ref()?.first()
+        self.latest.as_ref()?.strongest.as_ref()
+    }
+
+    /// What it left of the readings ([`Solution::misfit`]); 0 where none has ended.
+    pub(super) fn misfit(&self) -> f64 {
+        self.latest.as_ref().map_or(0.0, |latest| latest.misfit)
     }
 
     /// Begins a search.

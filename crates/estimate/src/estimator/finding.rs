@@ -208,7 +208,7 @@ impl SkinEstimator {
         }
         let mut followed = None;
         if single || !background.is_searching() {
-            followed = follow(inverter, &self.readings, learned, &self.before)?;
+            followed = follow(inverter, &self.readings, learned, (&self.before, background.misfit()))?;
         }
         let has_moved = |solution: &Solution| {
             let both = background.latest().zip(solution.contacts.first());

@@ -73,18 +73,18 @@ pub(crate) fn solve(
     inverter.solve(readings, hint.map(|c| indentation(inverter, c)).as_ref())
 }
 
-/// The same, without a search: `None` where only one can tell.
+/// The same, without a search: `None` where only one can tell. The latest one left `misfit` of its readings.
 pub(crate) fn follow(
     inverter: &Inverter,
     readings: &[Reading],
     learned: Learned<'_>,
-    before: &[ContactEstimate],
+    (before, misfit): (&[ContactEstimate], f64),
 ) -> Result<Option<Solution>, InverterError> {
     if inverter.settings().search == Search::Near {
         return inverter.follow_near(readings, before, &learned.starts(inverter));
     }
     if inverter.settings().is_single() {
-        return inverter.follow_minima(readings, before);
+        return inverter.follow_minima(readings, before, misfit);
     }
     inverter.follow(readings, before)
 }

@@ -221,11 +221,12 @@ fn minima_are_followed_as_a_search_finds_them() {
     let mut random = random(23);
     let at = |k: usize| press(0.003 + 5e-5 * k as f64, -0.008, 1.0 + 0.01 * k as f64);
     let first = inverter.solve(&read(&model, &[at(0)], &mut random), None).unwrap();
+    assert_eq!(first.misfit, 0.0, "noise explains what is left");
     let (mut minima, mut several, mut lost) = (first.minima, 0, 0);
     for k in 1..=40 {
         let readings = read(&model, &[at(k)], &mut random);
         let searched = inverter.solve(&readings, None).unwrap();
-        let Some(followed) = inverter.follow_minima(&readings, &minima).unwrap() else {
+        let Some(followed) = inverter.follow_minima(&readings, &minima, first.misfit).unwrap() else {
             (minima, lost) = (searched.minima, lost + 1);
             continue;
         };
@@ -240,9 +241,41 @@ fn minima_are_followed_as_a_search_finds_them() {
     assert!(lost <= 3, "{lost} of 40");
     // No single contact explains two, and where nothing is known there is nothing to follow.
     let two = read(&model, &[press(-0.010, -0.008, 1.0), press(0.010, -0.008, 1.0)], &mut random);
-    assert_eq!(inverter.follow_minima(&two, &minima).unwrap(), None);
-    assert_eq!(inverter.follow_minima(&two, &[]).unwrap(), None);
-    assert!(inverter.follow_minima(&two[1..], &minima).is_err());
+    assert_eq!(inverter.follow_minima(&two, &minima, 0.0).unwrap(), None);
+    assert_eq!(inverter.follow_minima(&two, &[], 0.0).unwrap(), None);
+    assert!(inverter.follow_minima(&two[1..], &minima, 0.0).is_err());
+}
+
+/// No search explains more of a device that differs from its model: a following that leaves no more is as good.
+#[test]
+fn a_contact_on_a_device_that_differs_is_followed() {
+    let (inverter, model) = inverter(1.0, |_| ());
+    let mut random = random(25);
+    let gains: Vec<f64> = (0..model.channels()).map(|_| random.random_range(0.9..1.1)).collect();
+    let mut differing = |at: Indentation| -> Vec<Reading> {
+        let scaled = |(reading, gain): (Reading, &f64)| match reading {
+            Reading::Exact(v) => Reading::Exact(v * gain),
+            other => other,
+        };
+        read(&model, &[at], &mut random).into_iter().zip(&gains).map(scaled).collect()
+    };
+    let at = |k: usize| press(0.003 + 5e-5 * k as f64, -0.008, 1.0 + 0.01 * k as f64);
+    let first = inverter.solve(&differing(at(0)), None).unwrap();
+    assert!(first.misfit > 0.0);
+    let mut minima = first.minima;
+    for k in 1..=40 {
+        let readings = differing(at(k));
+        assert_eq!(inverter.follow_minima(&readings, &minima, 0.0).unwrap(), None, "noise explains it");
+        let followed =
+            inverter.follow_minima(&readings, &minima, first.misfit).unwrap().expect("is followed");
+        let searched = inverter.solve(&readings, None).unwrap();
+        let (a, b) = (&searched.contacts[0], &followed.contacts[0]);
+        assert!((a.position - b.position).norm() < 0.05 * a.deviation(), "{k}: {a:?} {b:?}");
+        minima = followed.minima;
+    }
+    // Another contact is no part of what differs.
+    let two = read(&model, &[press(-0.010, -0.008, 1.0), press(0.010, -0.008, 1.0)], &mut random);
+    assert_eq!(inverter.follow_minima(&two, &minima, first.misfit).unwrap(), None);
 }
 
 #[test]
