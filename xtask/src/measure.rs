@@ -66,6 +66,9 @@ pub enum Measurement {
     /// does not know of, and on a device with the default effects; as designed beside support vectors, nearest neighbours and a
     /// network that learn from the same presses. Written to benches/results/limb-accuracy.json.
     Limb,
+    /// One and two contacts on the limb by the bundle that ships for two, as designed and on a device with the default effects that it does
+    /// not know of: how many are found, and how far off. Written to benches/results/limb-doubles.json.
+    Doubles,
     /// One and two contacts on a limb with the default effects: all ways, learned from recorded single contacts. Written to
     /// benches/results/real2sim-shin.json.
     Real2sim,
@@ -133,6 +136,7 @@ impl Measurement {
             Self::Accuracy => &["accuracy"],
             Self::Realism => &["realism"],
             Self::Limb => &["limb-accuracy"],
+            Self::Doubles => &["limb-doubles"],
             Self::Real2sim => &["real2sim-shin"],
             Self::Hapdefx(_) => &["hapdefx-shin"],
             Self::Restart => &["restart"],
@@ -168,6 +172,7 @@ pub fn run(root: &Path, measurement: &Measurement) -> Result<()> {
         Measurement::Accuracy => barodome::accuracy(root)?,
         Measurement::Realism => barodome::realism(root)?,
         Measurement::Limb => limb::limb(root)?,
+        Measurement::Doubles => limb::doubles(root)?,
         Measurement::Real2sim => limb::real2sim(root)?,
         Measurement::Hapdefx(options) => hapdefx::run(root, options)?,
         Measurement::Start => start(root)?,

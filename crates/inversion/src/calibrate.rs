@@ -124,21 +124,26 @@ impl Calibration {
         let third = all.len() / 3;
         let (weak, strong) = (some(&all[..third]), some(&all[all.len() - third..]));
         let scale = fits.excess(&weak, 1.0, 0.0)?.sqrt().max(1.0);
-        let mut model_error = 0.0;
+        let mut error = 0.0;
         if fits.excess(&strong, scale, 0.0)? > CHANCE {
-            let (mut low, mut high) = (ERRORS.0, ERRORS.1);
-            for _ in 0..ERRORS.2 {
-                let middle = f64::sqrt(low * high);
-                if fits.excess(&strong, scale, middle)? > 1.0 {
-                    low = middle;
-                } else {
-                    high = middle;
-                }
-            }
-            model_error = f64::sqrt(low * high);
+            error = model_error(|error| Ok::<_, ModelError>(fits.excess(&strong, scale, error)? > 1.0))?;
         }
-        Ok(Self { gains, model_error, frames: all.len() })
+        Ok(Self { gains, model_error: error, frames: all.len() })
     }
+}
+
+/// Smallest error of a model for which what is left does not exceed what can be expected.
+pub(crate) fn model_error<E>(mut exceeds: impl FnMut(f64) -> Result<bool, E>) -> Result<f64, E> {
+    let (mut low, mut high, halvings) = ERRORS;
+    for _ in 0..halvings {
+        let middle = f64::sqrt(low * high);
+        if exceeds(middle)? {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    Ok(f64::sqrt(low * high))
 }
 
 /// Fits of contacts to labelled frames.

@@ -73,7 +73,7 @@ pub struct Solution {
     pub chi2: f64,
     /// Readings that count, less the numbers that were looked for.
     pub freedom: usize,
-    /// Share of the squares of the readings, in units of their noise, that is left beyond what noise leaves: how far the device differs from
-    /// its model here. 0 where noise explains what is left.
+    /// Share of a signal by which the device differs from its model here (standard deviation), as what is left says; 0 where noise explains
+    /// that.
     pub misfit: f64,
 }

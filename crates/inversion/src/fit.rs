@@ -67,7 +67,7 @@ impl Datum {
     }
 
     /// Deviation of the reading from `model` in standard deviations, and its derivative by the model's value.
-    fn residual(self, model: f64) -> (f64, f64) {
+    pub(crate) fn residual(self, model: f64) -> (f64, f64) {
         match self {
             Self::Exact(value, weight) => ((value - model) * weight, -weight),
             Self::AtLeast(value, weight) if model < value => ((value - model) * weight, -weight),

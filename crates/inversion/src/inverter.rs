@@ -8,6 +8,7 @@
 //! dictionary of some 1,500 locations for each further contact, and some tens of responses and Jacobians for each start.
 
 mod describe;
+mod misfit;
 mod modes;
 mod nearby;
 mod pursuit;
@@ -23,7 +24,7 @@ use dermis_skin::Surface;
 
 use crate::contact::{ContactEstimate, Reading, Solution};
 use crate::dictionary::{Dictionary, SHAPE};
-use crate::fit::{Datum, LEAST_GAIN, Minimum, Problem, STRIDE, sum_of_squares};
+use crate::fit::{Datum, LEAST_GAIN, Minimum, Problem, STRIDE};
 use crate::pairs::Pairs;
 use crate::settings::{InverterError, Search, Settings};
 use modes::Mode;
@@ -146,6 +147,7 @@ impl Inverter {
         let problem = self.problem(&data);
         let counted = counted(&data);
         let mut best = Minimum::untouched(&data);
+        let mut fewer: Vec<Minimum> = Vec::new();
         let per_contact = self.settings.unknowns.count();
         let mut modes: Vec<Mode> = Vec::new();
         while best.contacts.len() < self.settings.contacts {
@@ -181,9 +183,9 @@ impl Inverter {
             if !first && (best.chi2 - found.chi2 < self.settings.evidence || !self.apart(&found)) {
                 break;
             }
-            best = found;
+            fewer.push(std::mem::replace(&mut best, found));
         }
-        Ok(self.among(&best, &modes, &data))
+        Ok(self.among(&self.worth(best, fewer, &data), &modes, &data))
     }
 
     /// How surely readings show a contact at all: by how much the best single one of the dictionary lowers the sum of
@@ -307,8 +309,7 @@ impl Inverter {
         contacts.iter_mut().for_each(|contact| self.bound(contact));
         contacts.sort_by(|a, b| b.normal_force().total_cmp(&a.normal_force()));
         let freedom = counted.saturating_sub(self.settings.unknowns.count() * contacts.len());
-        let beyond = if best.chi2 > plausible(freedom) { best.chi2 - freedom as f64 } else { 0.0 };
-        let misfit = beyond / sum_of_squares(data).max(f64::MIN_POSITIVE);
+        let misfit = self.misfit(best, data);
         Solution { contacts, minima: Vec::new(), chi2: best.chi2, freedom, misfit }
     }
 

@@ -113,6 +113,24 @@ pub(super) fn limb(root: &Path) -> Result<Value> {
     Ok(Value::Object(all))
 }
 
+/// Evaluates the limb's bundle for two contacts on presses of two and of one.
+pub(super) fn doubles(root: &Path) -> Result<Value> {
+    let dermis = programs::dermis(root)?;
+    let devices: [(&str, &[&str]); 2] =
+        [("designed", &[]), ("default effects", &["--effects", LIMB_EFFECTS, "--seed", "7"])];
+    let mut all = serde_json::Map::new();
+    for (name, device) in devices {
+        let bag = limb_bag(root, &dermis, "doubles", device)?;
+        let mut evaluate = Command::new(&dermis);
+        evaluate.args(["evaluate", "--skin", LIMB, "--model", "models/hapdef-shin-two", "--json"]);
+        let found = evaluation(evaluate.arg(bag).current_dir(root))?;
+        let keys = ["frames", "count_right", "missed", "not_found", "false_contacts", "figures", "consistency"];
+        let kept = keys.into_iter().map(|key| (key.to_owned(), found[key].clone()));
+        all.insert(name.to_owned(), kept.collect::<serde_json::Map<_, _>>().into());
+    }
+    Ok(Value::Object(all))
+}
+
 /// Learns from single contacts of one device with the default effects, and compares all ways on its doubles.
 pub(super) fn real2sim(root: &Path) -> Result<Value> {
     let dermis = programs::dermis(root)?;

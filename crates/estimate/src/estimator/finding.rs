@@ -206,16 +206,18 @@ impl SkinEstimator {
         if let Some(found) = background.found() {
             self.before = starts(inverter, found?).unwrap_or_default();
         }
+        let misfit = background.misfit();
         let mut followed = None;
         if single || !background.is_searching() {
-            followed = follow(inverter, &self.readings, learned, (&self.before, background.misfit()))?;
+            followed = follow(inverter, &self.readings, learned, (&self.before, misfit))?;
         }
         let has_moved = |solution: &Solution| {
             let both = background.latest().zip(solution.contacts.first());
             both.is_none_or(|(searched, now)| inverter.has_moved(searched, now))
         };
-        // Several contacts that explain a frame are all that there are; one may be another minimum.
-        let anew = followed.as_ref().is_none_or(|solution| single && has_moved(solution));
+        // Several contacts that explain a frame are all that there are; one may be another minimum, and any that leave what the device differs
+        // by.
+        let anew = followed.as_ref().is_none_or(|solution| (single || misfit > 0.0) && has_moved(solution));
         if !background.is_searching() && anew {
             let job = Job::of(inverter, &self.readings, learned, &self.before);
             if let Err(job) = background.begin(job) {

@@ -60,7 +60,7 @@ pub(crate) fn solve(
     before: &[ContactEstimate],
 ) -> Result<Solution, InverterError> {
     if inverter.settings().in_pairs() {
-        if let Some(solution) = inverter.follow(readings, before)? {
+        if let Some(solution) = inverter.follow(readings, before, 0.0)? {
             return Ok(solution);
         }
         let complete = if learned.complete { learned.starts(inverter) } else { Vec::new() };
@@ -86,7 +86,7 @@ pub(crate) fn follow(
     if inverter.settings().is_single() {
         return inverter.follow_minima(readings, before, misfit);
     }
-    inverter.follow(readings, before)
+    inverter.follow(readings, before, misfit)
 }
 
 /// What can be said of a frame while a search takes its time: the contacts of the frame `before` or those that were learned, moved to where they
@@ -370,7 +370,7 @@ mod tests {
         // What a node does with the second frame.
         let node = inverter(Search::Pairs);
         let readings: Vec<_> = readings(&second, &WELL).collect();
-        let followed = node.follow(&readings, &before).unwrap().unwrap().contacts;
+        let followed = node.follow(&readings, &before, 0.0).unwrap().unwrap().contacts;
         let locations = |found: &[ContactEstimate]| found.iter().map(|f| f.position).collect::<Vec<_>>();
         assert_eq!(contacts.iter().map(|c| c.position).collect::<Vec<_>>(), locations(&followed));
         assert_eq!(locations(finder.before()), locations(&followed));

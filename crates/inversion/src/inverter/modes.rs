@@ -12,6 +12,7 @@
 use dermis_model::{Indentation, Unknown, Unknowns};
 use nalgebra::{Matrix3, Point3, Vector3};
 
+use super::misfit::{GROWN, left};
 use super::{Inverter, counted, plausible, residuals};
 use crate::contact::{ContactEstimate, Reading, Solution};
 use crate::fit::{Datum, Minimum, Problem, sum_of_squares};
@@ -33,9 +34,6 @@ const CERTAIN: f64 = 0.99;
 const UNLIKELY: f64 = 1e-3;
 /// Factor by which a force has changed when minima are looked for anew: the noise hides others beside half of it, or no longer beside twice.
 const CHANGED: f64 = 2.0;
-/// Factor by which the share of the readings that is left may have grown before minima are looked for anew: as [`CHANGED`], after which they
-/// are in any case. The device that differs of `cargo xtask bench limb` says what it saves.
-const GROWN: f64 = 2.0;
 
 /// A minimum of one contact.
 pub(super) struct Mode {
@@ -133,8 +131,7 @@ impl Inverter {
             self.add(&mut found, problem.minimise(vec![start])?);
         }
         let modes = self.weighted(found, &data);
-        let most = plausible(freedom) + GROWN * misfit * sum_of_squares(&data);
-        let explains = |mode: &&Mode| mode.minimum.chi2 <= most;
+        let explains = |mode: &&Mode| left(&mode.minimum, &data, GROWN * misfit) <= plausible(freedom);
         Ok(modes.first().filter(explains).map(|best| self.among(&best.minimum, &modes, &data)))
     }
 

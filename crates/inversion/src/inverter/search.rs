@@ -2,6 +2,7 @@
 
 use dermis_model::Indentation;
 
+use super::misfit::{GROWN, left};
 use super::starts::{APART, Start};
 use super::{Inverter, counted, plausible};
 use crate::contact::{ContactEstimate, Reading, Solution};
@@ -10,6 +11,8 @@ use crate::settings::InverterError;
 
 /// Pairs of locations, and single ones, that a search begins at.
 const PAIRS: usize = 5;
+/// Pairs that it begins at where noise explains none of the minima so far.
+const MORE_PAIRS: usize = 20;
 
 impl Inverter {
     /// The contacts near `starts` that explain `readings` best, refined together. The weakest is dropped for as long as what
@@ -27,6 +30,7 @@ impl Inverter {
         strongest.sort_by(|a, b| b.force.norm().total_cmp(&a.force.norm()));
         strongest.truncate(most);
         let mut best = problem.minimise(strongest)?;
+        let error = self.misfit(&best, &data);
         while best.contacts.len() > 1 {
             let weakest = (0..best.contacts.len())
                 .min_by(|a, b| best.contacts[*a].force.norm().total_cmp(&best.contacts[*b].force.norm()));
@@ -34,7 +38,8 @@ impl Inverter {
             weakest.map(|i| fewer.remove(i));
             let fewer = problem.minimise(fewer)?;
             // Each contact less leaves about as many units more to noise as it had unknowns.
-            if fewer.chi2 - best.chi2 >= self.settings.evidence && self.apart(&best) {
+            let explained = left(&fewer, &data, error) - left(&best, &data, error);
+            if explained >= self.settings.evidence && self.apart(&best) {
                 break;
             }
             best = fewer;
@@ -65,6 +70,7 @@ impl Inverter {
             }
         }
         let Some(mut best) = best else { return self.solve(readings, None) };
+        let mut fewer: Vec<Minimum> = Vec::new();
         for contacts in 2..=most {
             let left = best.chi2 - counted.saturating_sub(contacts * s.unknowns.count()) as f64;
             if left < s.evidence {
@@ -74,15 +80,20 @@ impl Inverter {
             // Pairs are added up of locations that were pressed alone: only a medium that does so can be searched by them.
             if contacts == 2 && self.model.0.superposes() {
                 let bounds = (s.distance, s.force_max * 1.2, s.diameter);
-                let pairs = self.pairs.best(&self.dictionary, &data, bounds, PAIRS);
+                let pairs = self.pairs.best(&self.dictionary, &data, bounds, PAIRS + MORE_PAIRS);
                 let tip = |c: Indentation| s.indentation(c.position, c.force);
                 starts.extend(pairs.into_iter().map(|pair| pair.map(tip).to_vec()));
             }
+            let farther = starts.split_off(PAIRS.min(starts.len()));
             for kind in [Start::Dictionary, Start::Split] {
                 starts.extend(self.starts(kind, &data, &best));
             }
+            let (first, freedom) = (starts.len(), counted.saturating_sub(contacts * s.unknowns.count()));
             let mut found: Option<Minimum> = None;
-            for start in starts {
+            for (n, start) in starts.into_iter().chain(farther).enumerate() {
+                if n >= first && found.as_ref().is_some_and(|f| f.chi2 < plausible(freedom)) {
+                    break;
+                }
                 let minimum = problem.minimise(start)?;
                 let better = |f: &Minimum| self.score(&minimum) < self.score(f);
                 if found.as_ref().is_none_or(better) && self.apart(&minimum) {
@@ -90,11 +101,13 @@ impl Inverter {
                 }
             }
             match found {
-                Some(found) if best.chi2 - found.chi2 >= s.evidence => best = found,
+                Some(found) if best.chi2 - found.chi2 >= s.evidence => {
+                    fewer.push(std::mem::replace(&mut best, found));
+                }
                 _ => break,
             }
         }
-        Ok(self.solution(&best, &data))
+        Ok(self.solution(&self.worth(best, fewer, &data), &data))
     }
 
     /// As [`search`](Self::search), begun at contacts that somebody else supposes: where these, refined together, leave no more than
@@ -123,7 +136,8 @@ impl Inverter {
 
     /// The contacts of the frame `before`, moved to where they explain these readings best: what [`search`](Self::search) finds,
     /// in a fraction of its time, for as long as the same contacts last. `None` where that is not so: they leave more than noise
-    /// leaves, fewer would do, or their locations are all but open. Then search anew.
+    /// leaves, and than a device that differs by `misfit` from its model, as the search left it ([`Solution::misfit`]); fewer would do; or their
+    /// locations are all but open. Then search anew.
     ///
     /// # Errors
     ///
@@ -132,6 +146,7 @@ impl Inverter {
         &self,
         readings: &[Reading],
         before: &[ContactEstimate],
+        misfit: f64,
     ) -> Result<Option<Solution>, InverterError> {
         self.check(readings)?;
         let s = &self.settings;
@@ -143,14 +158,15 @@ impl Inverter {
         }
         let problem = self.problem(&data);
         let moved = problem.minimise(s.indentations(before))?;
-        if moved.chi2 > plausible(freedom) || !self.apart(&moved) {
+        if left(&moved, &data, GROWN * misfit) > plausible(freedom) || !self.apart(&moved) {
             return Ok(None);
         }
+        let error = self.misfit(&moved, &data);
         // Any of them may have ended, not the weakest alone.
         for i in 0..if moved.contacts.len() > 1 { moved.contacts.len() } else { 0 } {
             let mut fewer = moved.contacts.clone();
             fewer.remove(i);
-            if problem.minimise(fewer)?.chi2 - moved.chi2 < s.evidence {
+            if left(&problem.minimise(fewer)?, &data, error) - left(&moved, &data, error) < s.evidence {
                 return Ok(None);
             }
         }

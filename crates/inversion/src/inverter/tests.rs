@@ -4,6 +4,7 @@ use dermis_theory::cramer_rao;
 use nalgebra::{Point3, Vector3};
 use proptest::prelude::*;
 use rand::Rng;
+use rand_chacha::ChaCha8Rng;
 
 use super::*;
 use crate::testing::{grid, press, random, read};
@@ -246,19 +247,47 @@ fn minima_are_followed_as_a_search_finds_them() {
     assert!(inverter.follow_minima(&two[1..], &minima, 0.0).is_err());
 }
 
+/// Readings of a device whose channels have gains of their own.
+fn differing(
+    contacts: &[Indentation],
+    model: &Analytic,
+    gains: &[f64],
+    random: &mut ChaCha8Rng,
+) -> Vec<Reading> {
+    let scaled = |(reading, gain): (Reading, &f64)| match reading {
+        Reading::Exact(v) => Reading::Exact(v * gain),
+        other => other,
+    };
+    read(model, contacts, random).into_iter().zip(gains).map(scaled).collect()
+}
+
+/// Another contact always explains some of what a device differs by. It is none as long as it explains no more than that.
+#[test]
+fn what_a_device_differs_by_is_no_contact() {
+    let mut random = random(26);
+    for pairs in [false, true] {
+        let (inverter, model) = inverter(1.0, |s| s.contacts = 2);
+        let mut counts = [[0; 3]; 2];
+        for _ in 0..30 {
+            let gains: Vec<f64> = (0..model.channels()).map(|_| random.random_range(0.9..1.1)).collect();
+            let contacts = [press(-0.008, -0.006, random.random_range(0.5..1.5)), press(0.008, 0.007, 1.0)];
+            for (count, pressing) in counts.iter_mut().zip([&contacts[..1], &contacts]) {
+                let readings = differing(pressing, &model, &gains, &mut random);
+                let found = if pairs { inverter.search(&readings) } else { inverter.solve(&readings, None) };
+                count[found.unwrap().contacts.len()] += 1;
+            }
+        }
+        assert!(counts[0][1] >= 27 && counts[1][2] >= 27, "{counts:?}");
+    }
+}
+
 /// No search explains more of a device that differs from its model: a following that leaves no more is as good.
 #[test]
 fn a_contact_on_a_device_that_differs_is_followed() {
     let (inverter, model) = inverter(1.0, |_| ());
     let mut random = random(25);
     let gains: Vec<f64> = (0..model.channels()).map(|_| random.random_range(0.9..1.1)).collect();
-    let mut differing = |at: Indentation| -> Vec<Reading> {
-        let scaled = |(reading, gain): (Reading, &f64)| match reading {
-            Reading::Exact(v) => Reading::Exact(v * gain),
-            other => other,
-        };
-        read(&model, &[at], &mut random).into_iter().zip(&gains).map(scaled).collect()
-    };
+    let mut differing = |at: Indentation| differing(&[at], &model, &gains, &mut random);
     let at = |k: usize| press(0.003 + 5e-5 * k as f64, -0.008, 1.0 + 0.01 * k as f64);
     let first = inverter.solve(&differing(at(0)), None).unwrap();
     assert!(first.misfit > 0.0);
@@ -276,6 +305,34 @@ fn a_contact_on_a_device_that_differs_is_followed() {
     // Another contact is no part of what differs.
     let two = read(&model, &[press(-0.010, -0.008, 1.0), press(0.010, -0.008, 1.0)], &mut random);
     assert_eq!(inverter.follow_minima(&two, &minima, first.misfit).unwrap(), None);
+}
+
+/// The same of two, one of which ends.
+#[test]
+fn two_contacts_on_a_device_that_differs_are_followed() {
+    let (inverter, model) = inverter(1.0, |s| s.contacts = 2);
+    let mut random = random(27);
+    let gains: Vec<f64> = (0..model.channels()).map(|_| random.random_range(0.9..1.1)).collect();
+    let at =
+        |share: f64| [press(0.007, 0.005, 1.0 + 0.4 * share), press(-0.008 + 0.002 * share, -0.006, 0.7)];
+    let first = inverter.search(&differing(&at(0.0), &model, &gains, &mut random)).unwrap();
+    assert_eq!((first.contacts.len(), first.misfit > 0.0), (2, true));
+    let (mut before, mut followed) = (first.contacts, 0);
+    for k in 1..=40 {
+        let truth = at(f64::from(k) / 40.0);
+        let readings = differing(&truth, &model, &gains, &mut random);
+        assert_eq!(inverter.follow(&readings, &before, 0.0).unwrap(), None, "noise explains it");
+        let answer = inverter.follow(&readings, &before, first.misfit).unwrap();
+        followed += usize::from(answer.is_some());
+        before = answer.unwrap_or_else(|| inverter.search(&readings).unwrap()).contacts;
+        for t in &truth {
+            let nearest = before.iter().map(|f| (f.position - t.position).norm()).fold(1.0, f64::min);
+            assert!(nearest < 2e-3, "{k}: {before:?}");
+        }
+    }
+    assert!(followed >= 36, "{followed} of 40 frames");
+    let one = differing(&at(1.0)[..1], &model, &gains, &mut random);
+    assert_eq!(inverter.follow(&one, &before, first.misfit).unwrap(), None);
 }
 
 #[test]
@@ -320,7 +377,7 @@ fn contacts_that_last_are_followed() {
     for k in 1..=50 {
         let truth = at(f64::from(k) / 50.0);
         let readings = read(&model, &truth, &mut random);
-        let answer = inverter.follow(&readings, &before).unwrap();
+        let answer = inverter.follow(&readings, &before, 0.0).unwrap();
         followed += usize::from(answer.is_some());
         before = answer.unwrap_or_else(|| inverter.search(&readings).unwrap()).contacts;
         for t in &truth {
@@ -331,13 +388,13 @@ fn contacts_that_last_are_followed() {
     assert!(followed >= 40, "{followed} of 50 frames");
     // One of them ends, a third begins, all end: what was there before is no answer.
     let one = read(&model, &at(1.0)[..1], &mut random);
-    assert_eq!(inverter.follow(&one, &before).unwrap(), None);
+    assert_eq!(inverter.follow(&one, &before, 0.0).unwrap(), None);
     let mut third = at(1.0).to_vec();
     third.push(press(0.012, -0.012, 0.8));
-    assert_eq!(inverter.follow(&read(&model, &third, &mut random), &before).unwrap(), None);
-    assert_eq!(inverter.follow(&read(&model, &[], &mut random), &before).unwrap(), None);
-    assert_eq!(inverter.follow(&one, &[]).unwrap(), None);
-    assert!(inverter.follow(&one[1..], &before).is_err());
+    assert_eq!(inverter.follow(&read(&model, &third, &mut random), &before, 0.0).unwrap(), None);
+    assert_eq!(inverter.follow(&read(&model, &[], &mut random), &before, 0.0).unwrap(), None);
+    assert_eq!(inverter.follow(&one, &[], 0.0).unwrap(), None);
+    assert!(inverter.follow(&one[1..], &before, 0.0).is_err());
 }
 
 #[test]
