@@ -380,7 +380,12 @@ pub(crate) fn counted(data: &[Datum]) -> usize {
 
 /// Up to where a sum of squared deviations with so many degrees of freedom is what noise leaves.
 pub(crate) fn plausible(freedom: usize) -> f64 {
-    freedom as f64 + PLAUSIBLE * (2.0 * freedom as f64).sqrt()
+    within(freedom, PLAUSIBLE)
+}
+
+/// So many deviations beyond what noise leaves of a sum of squared deviations with so many degrees of freedom.
+fn within(freedom: usize, deviations: f64) -> f64 {
+    freedom as f64 + deviations * (2.0 * freedom as f64).sqrt()
 }
 
 /// What a model signal leaves of data, in units of their noise.

@@ -6,23 +6,26 @@
 //! the frame's (R. C. Paule and J. Mandel, *J. Res. Natl. Bur. Stand.* 87 (1982) 377), and a contact must lower the squares by
 //! [`Settings::evidence`](crate::Settings::evidence) in units of noise and error together, as in Mallows' C_p (C. L. Mallows,
 //! *Technometrics* 15 (1973) 661). Assumptions: errors are independent from channel to channel, and the most contacts that were looked for
-//! are all that there are. Where noise explains what these leave, nothing changes. Cost: some sums over the channels.
+//! are all that there are. Where noise may explain what these leave, nothing changes. Cost: some sums over the channels.
 
 use std::convert::Infallible;
 
-use super::{Inverter, counted, plausible};
+use super::{Inverter, counted, within};
 use crate::calibrate::model_error;
 use crate::fit::{Datum, Minimum};
 
 /// Factor by which what a device differs by may have grown before contacts are looked for anew: that of the force at which they are in any
 /// case ([`Inverter::has_moved`]). The device that differs of `cargo xtask bench limb` says what following saves.
 pub(super) const GROWN: f64 = 2.0;
+/// Deviations of its expectation from which on a sum of squared deviations is no longer noise: of χ² with four degrees of freedom, one in
+/// 250 is beyond, with twenty, one in 1,000. Fewer of them cost light contacts beside strong ones where a device is like its model.
+const DIFFERS: f64 = 4.0;
 
 impl Inverter {
     /// Error of the model, as share of a signal, with which noise explains what a minimum leaves; 0 where noise does so alone.
     pub(super) fn misfit(&self, minimum: &Minimum, data: &[Datum]) -> f64 {
         let freedom = counted(data).saturating_sub(self.settings.unknowns.count() * minimum.contacts.len());
-        if freedom == 0 || minimum.chi2 <= plausible(freedom) {
+        if freedom == 0 || minimum.chi2 <= within(freedom, DIFFERS) {
             return 0.0;
         }
         let exceeds = |error| Ok::<_, Infallible>(left(minimum, data, error) > freedom as f64);

@@ -11,7 +11,7 @@ use crate::settings::InverterError;
 
 /// Pairs of locations, and single ones, that a search begins at.
 const PAIRS: usize = 5;
-/// Pairs that it begins at where noise explains none of the minima so far.
+/// Further pairs that it begins at where noise explains none of the minima so far.
 const MORE_PAIRS: usize = 20;
 
 impl Inverter {
