@@ -124,7 +124,8 @@ pub(super) fn doubles(root: &Path) -> Result<Value> {
         let mut evaluate = Command::new(&dermis);
         evaluate.args(["evaluate", "--skin", LIMB, "--model", "models/hapdef-shin-two", "--json"]);
         let found = evaluation(evaluate.arg(bag).current_dir(root))?;
-        let keys = ["frames", "count_right", "missed", "not_found", "false_contacts", "figures", "consistency"];
+        let keys =
+            ["frames", "count_right", "missed", "not_found", "false_contacts", "figures", "consistency"];
         let kept = keys.into_iter().map(|key| (key.to_owned(), found[key].clone()));
         all.insert(name.to_owned(), kept.collect::<serde_json::Map<_, _>>().into());
     }
