@@ -212,7 +212,12 @@ fn pictures_of_a_camera_are_recorded_whole() {
             .args(["record", "/thumb/image/compressed", "--json", "--compression", "none", "--out"])
             .arg(&bag),
     );
-    until("the recorder listens", || (publisher.subscriber_count() > 0).then_some(()));
+    // The graph shows a subscriber before the way to it is open: what is published in between reaches nobody.
+    until("the recorder hears it", || {
+        publisher.publish(&CompressedImage::default()).unwrap();
+        let reader = BagReader::recover(&bag).ok()?;
+        reader.read::<CompressedImage>("/thumb/image/compressed").ok()?.next()?.ok()
+    });
     // As large as those of the thumb, and as little alike.
     let mut noise = 1_u32;
     let mut message =
@@ -236,6 +241,7 @@ fn pictures_of_a_camera_are_recorded_whole() {
         .read::<CompressedImage>("/thumb/image/compressed")
         .unwrap()
         .map(|message| message.unwrap().message)
+        .filter(|image| !image.data.is_empty())
         .inspect(|image| assert_eq!(image.data.len(), 270_000))
         .map(|image| image.header.stamp.nanosec)
         .collect();
