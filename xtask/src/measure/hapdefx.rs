@@ -7,7 +7,7 @@ use anyhow::{Context, Result};
 use clap::Args;
 use serde_json::{Map, Value, json};
 
-use super::limb::{LIMB_EFFECTS, limb_bag};
+use super::limb::{DIFFERING, limb_bag};
 use super::{LIMB, evaluation};
 use crate::programs;
 use crate::record::{commit, sign, write};
@@ -51,9 +51,8 @@ fn thesis() -> Value {
 
 pub(super) fn run(root: &Path, options: &Options) -> Result<Value> {
     let dermis = programs::dermis(root)?;
-    let device = ["--effects", LIMB_EFFECTS, "--seed", "7"];
     let (train, doubles) =
-        (limb_bag(root, &dermis, "train", &device)?, limb_bag(root, &dermis, "doubles", &device)?);
+        (limb_bag(root, &dermis, "train", &DIFFERING)?, limb_bag(root, &dermis, "doubles", &DIFFERING)?);
     // States of networks stay: an interrupted run goes on from them.
     let states = root.join(".dermis/measure/hapdefx");
     let mut measure = Command::new(&dermis);

@@ -11,7 +11,9 @@ use crate::programs;
 use crate::run::run as execute;
 
 /// A file of the limb's effects as a command takes it.
-pub(super) const LIMB_EFFECTS: &str = "launch/effects/hapdef-default.toml";
+const LIMB_EFFECTS: &str = "launch/effects/hapdef-default.toml";
+/// The device with the default effects that all measurements of the limb take.
+pub(super) const DIFFERING: [&str; 4] = ["--effects", LIMB_EFFECTS, "--seed", "7"];
 
 /// A bag of the limb under a plan, made anew only where the skin, the plan or what makes the device differ have changed since.
 pub(super) fn limb_bag(root: &Path, dermis: &Path, plan: &str, device: &[&str]) -> Result<PathBuf> {
@@ -32,7 +34,7 @@ pub(super) fn limb(root: &Path) -> Result<Value> {
     let devices: [(&str, &[&str]); 3] = [
         ("designed", &[]),
         ("one dead gauge", &["--effect", "dead-gauge=1", "--seed", "3"]),
-        ("default effects", &["--effects", LIMB_EFFECTS, "--seed", "7"]),
+        ("default effects", &DIFFERING),
     ];
     let mut all = serde_json::Map::new();
     for (name, device) in devices {
@@ -116,8 +118,7 @@ pub(super) fn limb(root: &Path) -> Result<Value> {
 /// Evaluates the limb's bundle for two contacts on presses of two and of one.
 pub(super) fn doubles(root: &Path) -> Result<Value> {
     let dermis = programs::dermis(root)?;
-    let devices: [(&str, &[&str]); 2] =
-        [("designed", &[]), ("default effects", &["--effects", LIMB_EFFECTS, "--seed", "7"])];
+    let devices: [(&str, &[&str]); 2] = [("designed", &[]), ("default effects", &DIFFERING)];
     let mut all = serde_json::Map::new();
     for (name, device) in devices {
         let bag = limb_bag(root, &dermis, "doubles", device)?;
@@ -136,9 +137,8 @@ pub(super) fn doubles(root: &Path) -> Result<Value> {
 pub(super) fn real2sim(root: &Path) -> Result<Value> {
     let dermis = programs::dermis(root)?;
     let dir = scratch(root, "real2sim")?;
-    let device = ["--effects", LIMB_EFFECTS, "--seed", "7"];
     let (train, doubles) =
-        (limb_bag(root, &dermis, "train", &device)?, limb_bag(root, &dermis, "doubles", &device)?);
+        (limb_bag(root, &dermis, "train", &DIFFERING)?, limb_bag(root, &dermis, "doubles", &DIFFERING)?);
     let bundle = dir.join("hapdef-shin-real2sim");
     let mut learn = Command::new(&dermis);
     learn.args(["real2sim", "train", "--skin", LIMB, "--settings", "launch/real2sim/hapdef-shin.toml"]);

@@ -209,14 +209,14 @@ impl SkinEstimator {
         let misfit = background.misfit();
         let mut followed = None;
         if single || !background.is_searching() {
-            followed = follow(inverter, &self.readings, learned, (&self.before, misfit))?;
+            followed = follow(inverter, &self.readings, learned, &self.before, misfit)?;
         }
         let has_moved = |solution: &Solution| {
             let both = background.latest().zip(solution.contacts.first());
             both.is_none_or(|(searched, now)| inverter.has_moved(searched, now))
         };
-        // Several contacts that explain a frame are all that there are; one may be another minimum, and any that leave what the device differs
-        // by.
+        // Several contacts that leave no more than noise are all that there are. One contact may be another minimum, and so may any on a device
+        // that differs from its model.
         let anew = followed.as_ref().is_none_or(|solution| (single || misfit > 0.0) && has_moved(solution));
         if !background.is_searching() && anew {
             let job = Job::of(inverter, &self.readings, learned, &self.before);

@@ -73,12 +73,14 @@ pub(crate) fn solve(
     inverter.solve(readings, hint.map(|c| indentation(inverter, c)).as_ref())
 }
 
-/// The same, without a search: `None` where only one can tell. The latest one left `misfit` of its readings.
+/// The same, without a search: `None` where only one can tell. `misfit` is by how much the device differs from its model, as the latest search
+/// found.
 pub(crate) fn follow(
     inverter: &Inverter,
     readings: &[Reading],
     learned: Learned<'_>,
-    (before, misfit): (&[ContactEstimate], f64),
+    before: &[ContactEstimate],
+    misfit: f64,
 ) -> Result<Option<Solution>, InverterError> {
     if inverter.settings().search == Search::Near {
         return inverter.follow_near(readings, before, &learned.starts(inverter));

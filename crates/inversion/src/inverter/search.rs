@@ -72,8 +72,8 @@ impl Inverter {
         let Some(mut best) = best else { return self.solve(readings, None) };
         let mut fewer: Vec<Minimum> = Vec::new();
         for contacts in 2..=most {
-            let left = best.chi2 - counted.saturating_sub(contacts * s.unknowns.count()) as f64;
-            if left < s.evidence {
+            let freedom = counted.saturating_sub(contacts * s.unknowns.count());
+            if best.chi2 - (freedom as f64) < s.evidence {
                 break;
             }
             let mut starts: Vec<Vec<Indentation>> = Vec::new();
@@ -88,7 +88,7 @@ impl Inverter {
             for kind in [Start::Dictionary, Start::Split] {
                 starts.extend(self.starts(kind, &data, &best));
             }
-            let (first, freedom) = (starts.len(), counted.saturating_sub(contacts * s.unknowns.count()));
+            let first = starts.len();
             let mut found: Option<Minimum> = None;
             for (n, start) in starts.into_iter().chain(farther).enumerate() {
                 if n >= first && found.as_ref().is_some_and(|f| f.chi2 < plausible(freedom)) {

@@ -307,6 +307,21 @@ fn a_contact_on_a_device_that_differs_is_followed() {
     assert_eq!(inverter.follow_minima(&two, &minima, first.misfit).unwrap(), None);
 }
 
+/// The contacts of the next frame, and whether those before were followed to them.
+fn go_on(inverter: &Inverter, readings: &[Reading], before: &mut Vec<ContactEstimate>, misfit: f64) -> bool {
+    let answer = inverter.follow(readings, before, misfit).unwrap();
+    let followed = answer.is_some();
+    *before = answer.unwrap_or_else(|| inverter.search(readings).unwrap()).contacts;
+    followed
+}
+
+/// \[m\] from the true contact that is farthest from what was found.
+fn farthest(truth: &[Indentation], found: &[ContactEstimate]) -> f64 {
+    let nearest =
+        |t: &Indentation| found.iter().map(|f| (f.position - t.position).norm()).fold(1.0, f64::min);
+    truth.iter().map(nearest).fold(0.0, f64::max)
+}
+
 /// The same of two, one of which ends.
 #[test]
 fn two_contacts_on_a_device_that_differs_are_followed() {
@@ -322,13 +337,8 @@ fn two_contacts_on_a_device_that_differs_are_followed() {
         let truth = at(f64::from(k) / 40.0);
         let readings = differing(&truth, &model, &gains, &mut random);
         assert_eq!(inverter.follow(&readings, &before, 0.0).unwrap(), None, "noise explains it");
-        let answer = inverter.follow(&readings, &before, first.misfit).unwrap();
-        followed += usize::from(answer.is_some());
-        before = answer.unwrap_or_else(|| inverter.search(&readings).unwrap()).contacts;
-        for t in &truth {
-            let nearest = before.iter().map(|f| (f.position - t.position).norm()).fold(1.0, f64::min);
-            assert!(nearest < 2e-3, "{k}: {before:?}");
-        }
+        followed += usize::from(go_on(&inverter, &readings, &mut before, first.misfit));
+        assert!(farthest(&truth, &before) < 2e-3, "{k}: {before:?}");
     }
     assert!(followed >= 36, "{followed} of 40 frames");
     let one = differing(&at(1.0)[..1], &model, &gains, &mut random);
@@ -377,13 +387,8 @@ fn contacts_that_last_are_followed() {
     for k in 1..=50 {
         let truth = at(f64::from(k) / 50.0);
         let readings = read(&model, &truth, &mut random);
-        let answer = inverter.follow(&readings, &before, 0.0).unwrap();
-        followed += usize::from(answer.is_some());
-        before = answer.unwrap_or_else(|| inverter.search(&readings).unwrap()).contacts;
-        for t in &truth {
-            let nearest = before.iter().map(|f| (f.position - t.position).norm()).fold(1.0, f64::min);
-            assert!(nearest < 5e-4, "{k}: {before:?}");
-        }
+        followed += usize::from(go_on(&inverter, &readings, &mut before, 0.0));
+        assert!(farthest(&truth, &before) < 5e-4, "{k}: {before:?}");
     }
     assert!(followed >= 40, "{followed} of 50 frames");
     // One of them ends, a third begins, all end: what was there before is no answer.
