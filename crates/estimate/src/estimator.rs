@@ -8,13 +8,14 @@ mod quality;
 mod tests;
 
 use dermis_inference::Baseline;
-use dermis_inversion::{ContactEstimate, Reading, Solution};
+use dermis_inversion::{Reading, Solution};
 use dermis_skin::{
     Condition, Estimate, EstimateError, Estimator, Frame, SkinDescription, Surface, TareState,
 };
 
 use crate::condition::{Conditioned, Conditioner, TareRefusal};
 use crate::contacts::{TaxelShares, Tracker};
+use crate::finder::Before;
 use crate::models::{Models, Pipeline, SetupError, maps};
 use background::BackgroundSearch;
 use dermis_sensor::{ElementFault, FrameCheck};
@@ -91,8 +92,7 @@ pub struct SkinEstimator {
     present: bool,
     /// What a forward model that searches in pairs found in the latest frame, where it was called.
     solution: Option<Solution>,
-    /// The contacts that it found in the latest frame that had any or, of one contact, all minima that it may be.
-    before: Vec<ContactEstimate>,
+    before: Before,
     /// Searches on a forward model that frames do not wait for; `None` where they do.
     background: Option<BackgroundSearch>,
     /// The latest signal, as an inverter takes it.
@@ -129,7 +129,7 @@ impl SkinEstimator {
             explained: false,
             present: false,
             solution: None,
-            before: Vec::new(),
+            before: Before::default(),
             background: None,
             readings: Vec::new(),
             guessed: Vec::new(),
@@ -180,7 +180,7 @@ impl SkinEstimator {
     }
 
     fn forget_contacts(&mut self) {
-        self.before.clear();
+        self.before = Before::default();
         if let Some(background) = &mut self.background {
             background.forget();
         }

@@ -15,6 +15,7 @@
 //! A finder does not judge whether something touches: who asks it for the contacts of an untouched frame gets what the noise
 //! looks like to it.
 
+mod before;
 mod choice;
 mod inversion;
 mod map;
@@ -26,9 +27,10 @@ use dermis_inference::FeatureError;
 use dermis_inversion::{InverterError, Reading};
 use dermis_skin::{ChannelFlags, Contact, Estimate, ImageGrid, Stamp};
 
+pub(crate) use before::Before;
 pub use choice::{finder_of, learned_finder_of};
 pub use inversion::{InversionFinder, Start};
-pub(crate) use inversion::{Learned, follow, provisional, refined, solve, starts};
+pub(crate) use inversion::{Learned, follow, provisional, refined, search, solve};
 pub use map::MapFinder;
 pub(crate) use map::{Peaks, peaks};
 pub use network::NetworkFinder;

@@ -66,9 +66,9 @@ impl ContactEstimate {
 pub struct Solution {
     /// Strongest first; empty where nothing stands out of the noise.
     pub contacts: Vec<ContactEstimate>,
-    /// Of one contact that was looked for everywhere: the minima that may be true, the likeliest first. Where several are likely, the contact
-    /// is their mean.
-    pub minima: Vec<ContactEstimate>,
+    /// The minima that may be true, the likeliest first, with as many contacts in each; empty where they were not looked for everywhere.
+    /// Where several are likely, `contacts` are their means.
+    pub minima: Vec<Vec<ContactEstimate>>,
     /// Sum of squared deviations from the readings, in units of their noise.
     pub chi2: f64,
     /// Readings that count, less the numbers that were looked for.

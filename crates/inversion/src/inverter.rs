@@ -304,7 +304,7 @@ impl Inverter {
         if let [single] = contacts.as_mut_slice()
             && self.is_broad(single)
         {
-            *single = self.mean(data, single, self.excess(best.chi2, data));
+            *single = self.mean(data, single, self.excess(best, data));
         }
         contacts.iter_mut().for_each(|contact| self.bound(contact));
         contacts.sort_by(|a, b| b.normal_force().total_cmp(&a.normal_force()));
@@ -313,14 +313,14 @@ impl Inverter {
         Solution { contacts, minima: Vec::new(), chi2: best.chi2, freedom, misfit }
     }
 
-    /// By how much larger the squares of all errors are than noise makes them, as what the best minimum of one contact leaves says; 1 where
-    /// noise explains it.
+    /// By how much larger the squares of all errors are than noise makes them, as what the `best` minimum of as many contacts leaves says; 1
+    /// where noise explains it.
     ///
     /// A device that differs from its model leaves many times what noise does. Taken for noise, that rules out all but one location (the
     /// variance factor of weighted least squares: Å. Björck, *Numerical Methods for Least Squares Problems*, 1996, §1.1).
-    fn excess(&self, chi2: f64, data: &[Datum]) -> f64 {
-        let freedom = counted(data).saturating_sub(self.settings.unknowns.count());
-        if freedom > 0 && chi2 > plausible(freedom) { chi2 / freedom as f64 } else { 1.0 }
+    fn excess(&self, best: &Minimum, data: &[Datum]) -> f64 {
+        let freedom = counted(data).saturating_sub(self.settings.unknowns.count() * best.contacts.len());
+        if freedom > 0 && best.chi2 > plausible(freedom) { best.chi2 / freedom as f64 } else { 1.0 }
     }
 
     /// Readings in units of their noise; what is missing is 0.

@@ -7,10 +7,10 @@
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 
-use dermis_inversion::{ContactEstimate, Inverter, InverterError, Reading, Solution};
+use dermis_inversion::{Inverter, InverterError, Reading, Solution};
 use dermis_skin::Contact;
 
-use crate::finder::{Learned, solve};
+use crate::finder::{Before, Learned, search};
 
 /// A search, with all that it needs.
 pub(super) struct Job {
@@ -18,7 +18,7 @@ pub(super) struct Job {
     readings: Vec<Reading>,
     learned: Vec<Contact>,
     complete: bool,
-    before: Vec<ContactEstimate>,
+    before: Before,
 }
 
 impl Job {
@@ -26,48 +26,32 @@ impl Job {
         inverter: &Arc<Inverter>,
         readings: &[Reading],
         learned: Learned<'_>,
-        before: &[ContactEstimate],
+        before: &Before,
     ) -> Self {
         Self {
             inverter: Arc::clone(inverter),
             readings: readings.to_vec(),
             learned: learned.contacts.to_vec(),
             complete: learned.complete,
-            before: before.to_vec(),
+            before: before.clone(),
         }
     }
 
-    pub(super) fn solve(&self) -> Result<Solution, InverterError> {
+    pub(super) fn search(&self) -> Result<Solution, InverterError> {
         let learned = Learned { contacts: &self.learned, complete: self.complete };
-        solve(&self.inverter, &self.readings, learned, &self.before)
+        search(&self.inverter, &self.readings, learned, &self.before)
     }
 }
 
 type Found = Result<Solution, InverterError>;
-
-/// What later frames ask of a search that has ended.
-#[derive(Default)]
-struct Latest {
-    strongest: Option<ContactEstimate>,
-    misfit: f64,
-}
-
-impl Latest {
-    fn of(found: &Found) -> Self {
-        found.as_ref().map_or_else(
-            |_| Self::default(),
-            |found| Self { strongest: found.contacts.first().cloned(), misfit: found.misfit },
-        )
-    }
-}
 
 /// The thread, from the first search on, and what it works on.
 #[derive(Default)]
 pub(super) struct BackgroundSearch {
     thread: Option<(Sender<Job>, Receiver<Found>)>,
     searching: bool,
-    /// What the latest search since contacts were forgotten has found; `None` where none has ended.
-    latest: Option<Latest>,
+    /// A search has ended since contacts were forgotten.
+    ended: bool,
     /// The search that runs is for contacts that are gone: its answer does not count.
     stale: bool,
 }
@@ -86,9 +70,7 @@ impl BackgroundSearch {
         };
         self.searching = false;
         let answer = answer.filter(|_| !std::mem::take(&mut self.stale));
-        if let Some(answer) = &answer {
-            self.latest = Some(Latest::of(answer));
-        }
+        self.ended |= answer.is_some();
         answer
     }
 
@@ -98,17 +80,7 @@ impl BackgroundSearch {
 
     /// Whether no search has ended since contacts were forgotten: what is known of these is a guess.
     pub(super) fn guesses(&self) -> bool {
-        self.latest.is_none()
-    }
-
-    /// The strongest contact of the latest search since contacts were forgotten.
-    pub(super) fn latest(&self) -> Option<&ContactEstimate> {
-        self.latest.as_ref()?.strongest.as_ref()
-    }
-
-    /// What it left of the readings ([`Solution::misfit`]); 0 where none has ended.
-    pub(super) fn misfit(&self) -> f64 {
-        self.latest.as_ref().map_or(0.0, |latest| latest.misfit)
+        !self.ended
     }
 
     /// Begins a search.
@@ -122,7 +94,7 @@ impl BackgroundSearch {
             let (answers, found) = channel();
             let work = move || {
                 for job in taken {
-                    if answers.send(job.solve()).is_err() {
+                    if answers.send(job.search()).is_err() {
                         break;
                     }
                 }
@@ -144,7 +116,7 @@ impl BackgroundSearch {
     /// The contacts are gone: the answer of a search that runs for them does not count.
     pub(super) fn forget(&mut self) {
         self.stale = self.searching;
-        self.latest = None;
+        self.ended = false;
     }
 }
 
@@ -168,7 +140,7 @@ mod tests {
         (settings.contacts, settings.search) = (2, Search::Pairs);
         let inverter = Arc::new(Inverter::new(Arc::new(model), settings).unwrap());
         let readings: Vec<Reading> = signal.iter().map(|v| Reading::Exact(*v)).collect();
-        Job::of(&inverter, &readings, Learned::default(), &[])
+        Job::of(&inverter, &readings, Learned::default(), &Before::default())
     }
 
     /// Until no search runs.
@@ -188,7 +160,7 @@ mod tests {
     fn what_is_found_in_the_background_is_what_is_found_here() {
         let mut search = BackgroundSearch::default();
         assert!(search.found().is_none() && !search.is_searching());
-        let here = job().solve().unwrap();
+        let here = job().search().unwrap();
         for _ in 0..2 {
             assert!(search.begin(job()).is_ok() && search.is_searching());
             assert_eq!(ended(&mut search).unwrap().unwrap(), here);

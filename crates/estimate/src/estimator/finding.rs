@@ -11,7 +11,6 @@ use super::SkinEstimator;
 use super::background::Job;
 use crate::finder::{
     Learned, Peaks, Regressed, follow, is_flat, peaks, provisional, readings, refined, regressed, solve,
-    starts,
 };
 use crate::models::Pipeline;
 
@@ -181,9 +180,6 @@ impl SkinEstimator {
         let solution =
             solution.map_err(|e| format!("model {}: {e}", self.pipelines[index].path.display()))?;
         let (mut contacts, refined) = refined(&inverter, &solution.contacts, learned);
-        if let Some(starts) = starts(&inverter, solution) {
-            self.before = starts;
-        }
         if !refined {
             return Ok((contacts, None));
         }
@@ -201,27 +197,25 @@ impl SkinEstimator {
         let single = inverter.settings().is_single() && self.skin.rate > FAST;
         let follows = single || inverter.settings().follows();
         let Some(background) = self.background.as_mut().filter(|_| follows) else {
-            return solve(inverter, &self.readings, learned, &self.before);
+            return solve(inverter, &self.readings, learned, &mut self.before);
         };
         if let Some(found) = background.found() {
-            self.before = starts(inverter, found?).unwrap_or_default();
+            self.before.search(inverter, &found?);
         }
-        let misfit = background.misfit();
         let mut followed = None;
         if single || !background.is_searching() {
-            followed = follow(inverter, &self.readings, learned, &self.before, misfit)?;
+            followed = follow(inverter, &self.readings, learned, &self.before)?;
         }
-        let has_moved = |solution: &Solution| {
-            let both = background.latest().zip(solution.contacts.first());
-            both.is_none_or(|(searched, now)| inverter.has_moved(searched, now))
-        };
-        // Several contacts that leave no more than noise are all that there are. One contact may be another minimum, and so may any on a device
-        // that differs from its model.
-        let anew = followed.as_ref().is_none_or(|solution| (single || misfit > 0.0) && has_moved(solution));
+        if let Some(solution) = &followed {
+            self.before.follow(inverter, solution);
+        }
+        let anew = followed.is_none() || self.before.may_have_changed(inverter, self.skin.rate);
         if !background.is_searching() && anew {
             let job = Job::of(inverter, &self.readings, learned, &self.before);
             if let Err(job) = background.begin(job) {
-                return job.solve();
+                let found = job.search()?;
+                self.before.search(inverter, &found);
+                return Ok(found);
             }
         }
         if let Some(solution) = followed {
@@ -231,7 +225,9 @@ impl SkinEstimator {
             self.verdict.quality = Quality::Degraded;
             self.verdict.text = GUESS.to_owned();
         }
-        provisional(inverter, &self.readings, learned, &self.before)
+        let solution = provisional(inverter, &self.readings, learned, &self.before)?;
+        self.before.follow(inverter, &solution);
+        Ok(solution)
     }
 
     pub(super) fn contact(&mut self) -> Contact {

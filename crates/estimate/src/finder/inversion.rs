@@ -9,7 +9,7 @@ use dermis_inversion::{ContactEstimate, Inverter, InverterError, Reading, Search
 use dermis_model::{Indentation, Unknowns};
 use dermis_skin::{Contact, Estimate, ForceComponents, ImageGrid};
 
-use super::{ConditionedFrame, ContactFinder, FindError, GivenMaps, readings, spread_forces};
+use super::{Before, ConditionedFrame, ContactFinder, FindError, GivenMaps, readings, spread_forces};
 
 /// The contacts that an inverter `found` in a frame or, where it found none, those that were `learned`; and whether they are the former.
 pub(crate) fn refined(
@@ -20,15 +20,6 @@ pub(crate) fn refined(
     let components = inverter.settings().unknowns.force_components();
     let contacts: Vec<Contact> = found.iter().map(|found| inverted(found, components)).collect();
     if contacts.is_empty() { (learned, false) } else { (contacts, true) }
-}
-
-/// Where the next frame begins: at the contacts or, of one contact that was looked for everywhere, at all minima that it may be. `None` where
-/// such a one is a guess.
-pub(crate) fn starts(inverter: &Inverter, solution: Solution) -> Option<Vec<ContactEstimate>> {
-    if !inverter.settings().is_single() {
-        return Some(solution.contacts);
-    }
-    (!solution.minima.is_empty() || solution.contacts.is_empty()).then_some(solution.minima)
 }
 
 /// What an inverter found, as a contact.
@@ -50,45 +41,55 @@ pub(crate) struct Learned<'a> {
     pub(crate) complete: bool,
 }
 
-/// The contacts that explain readings best, in the manner that a bundle asks for: among all pairs of locations, from those of
-/// the frame `before` while they last, then from all that were `learned` where these are complete; near those of the frame before or what was
-/// learned; or one after the other, the first near what was `learned`.
-pub(crate) fn solve(
+/// The contacts that explain readings best, in the manner that a bundle asks for: among all pairs of locations, from all that were `learned`
+/// where these are complete; near those of the frame `before` or what was learned; or one after the other, the first near what was learned.
+pub(crate) fn search(
     inverter: &Inverter,
     readings: &[Reading],
     learned: Learned<'_>,
-    before: &[ContactEstimate],
+    before: &Before,
 ) -> Result<Solution, InverterError> {
     if inverter.settings().in_pairs() {
-        if let Some(solution) = inverter.follow(readings, before, 0.0)? {
-            return Ok(solution);
-        }
         let complete = if learned.complete { learned.starts(inverter) } else { Vec::new() };
         return inverter.search_from(readings, &complete);
     }
     if inverter.settings().search == Search::Near {
-        return inverter.search_near(readings, before, &learned.starts(inverter));
+        return inverter.search_near(readings, before.likeliest(), &learned.starts(inverter));
     }
     let hint = learned.contacts.first().filter(|c| is_known(c));
     inverter.solve(readings, hint.map(|c| indentation(inverter, c)).as_ref())
 }
 
-/// The same, without a search: `None` where only one can tell. `misfit` is by how much the device differs from its model, as the latest search
-/// found.
+/// The same, near the contacts before only: `None` where a search has to tell.
 pub(crate) fn follow(
     inverter: &Inverter,
     readings: &[Reading],
     learned: Learned<'_>,
-    before: &[ContactEstimate],
-    misfit: f64,
+    before: &Before,
 ) -> Result<Option<Solution>, InverterError> {
     if inverter.settings().search == Search::Near {
-        return inverter.follow_near(readings, before, &learned.starts(inverter));
+        return inverter.follow_near(readings, before.likeliest(), &learned.starts(inverter));
     }
-    if inverter.settings().is_single() {
-        return inverter.follow_minima(readings, before, misfit);
+    inverter.follow(readings, before.minima(), before.misfit())
+}
+
+/// The contacts that explain readings best. Where they are looked for in pairs, those of the frame before are followed for as long as noise
+/// explains what they leave. Who waits for each frame can wait for a search where a device differs from its model.
+pub(crate) fn solve(
+    inverter: &Inverter,
+    readings: &[Reading],
+    learned: Learned<'_>,
+    before: &mut Before,
+) -> Result<Solution, InverterError> {
+    if inverter.settings().in_pairs()
+        && let Some(solution) = inverter.follow(readings, before.minima(), 0.0)?
+    {
+        before.follow(inverter, &solution);
+        return Ok(solution);
     }
-    inverter.follow(readings, before, misfit)
+    let solution = search(inverter, readings, learned, before)?;
+    before.search(inverter, &solution);
+    Ok(solution)
 }
 
 /// What can be said of a frame while a search takes its time: the contacts of the frame `before` or those that were learned, moved to where they
@@ -97,11 +98,9 @@ pub(crate) fn provisional(
     inverter: &Inverter,
     readings: &[Reading],
     learned: Learned<'_>,
-    before: &[ContactEstimate],
+    before: &Before,
 ) -> Result<Solution, InverterError> {
-    // Of the minima of one contact the first is the likeliest.
-    let before = if inverter.settings().is_single() { &before[..before.len().min(1)] } else { before };
-    let mut starts = inverter.settings().indentations(before);
+    let mut starts = inverter.settings().indentations(before.likeliest());
     if starts.is_empty() {
         starts = learned.starts(inverter);
     }
@@ -163,8 +162,7 @@ impl Start {
 /// What a finder remembers of the frames before.
 #[derive(Debug, Default)]
 struct Followed {
-    /// The contacts of the last frame that had any.
-    before: Vec<ContactEstimate>,
+    before: Before,
     /// Something touched in the last frame.
     present: bool,
 }
@@ -201,18 +199,7 @@ impl InversionFinder {
         let (gain, _) = self.inverter.evidence(readings);
         followed.present = settings.exceeds_threshold((gain, 0.0), followed.present);
         if !followed.present {
-            followed.before.clear();
-        }
-    }
-
-    /// The contacts before, where they are followed.
-    fn before(&self) -> &[ContactEstimate] {
-        self.followed.as_ref().map_or(&[], |followed| &followed.before)
-    }
-
-    fn remember(&mut self, found: Vec<ContactEstimate>) {
-        if let Some(followed) = &mut self.followed {
-            followed.before = found;
+            followed.before = Before::default();
         }
     }
 
@@ -239,7 +226,10 @@ impl InversionFinder {
             Start::Pairs => inverter.search(&readings)?.contacts,
             Start::Bundle(finder) => {
                 let learned = Learned { contacts: &others, complete: finder.complete() };
-                solve(inverter, &readings, learned, self.before())?.contacts
+                let mut nothing = Before::default();
+                let before = self.followed.as_mut().map_or(&mut nothing, |followed| &mut followed.before);
+                let found = solve(inverter, &readings, learned, before)?.contacts;
+                return Ok(refined(inverter, &found, others));
             }
             Start::Refine(_) => {
                 let starts: Vec<_> = others.iter().map(|c| indentation(inverter, c)).collect();
@@ -252,10 +242,7 @@ impl InversionFinder {
                 return Ok((found.iter().map(|c| placed(inverter, c, components)).collect(), true));
             }
         };
-        let others = if matches!(self.start, Start::Bundle(_)) { others } else { Vec::new() };
-        let answer = refined(&self.inverter, &found, others);
-        self.remember(found);
-        Ok(answer)
+        Ok(refined(inverter, &found, Vec::new()))
     }
 }
 
@@ -284,10 +271,9 @@ impl ContactFinder for InversionFinder {
         }
         let readings: Vec<_> = readings(frame.signal, frame.flags).collect();
         self.watch(&readings);
-        if self.followed.as_ref().is_some_and(|followed| followed.present) {
+        if let Some(Followed { before, present: true }) = &mut self.followed {
             // A search in pairs can do without the other finder.
-            let found = solve(&self.inverter, &readings, Learned::default(), self.before())?.contacts;
-            self.remember(found);
+            solve(&self.inverter, &readings, Learned::default(), before)?;
         }
         Ok(())
     }
@@ -360,14 +346,18 @@ mod tests {
         ConditionedFrame { stamp: 0, reading: signal, signal, flags: &WELL, image: &[], image_signal: &[] }
     }
 
+    fn minima(finder: &InversionFinder) -> &[Vec<ContactEstimate>] {
+        finder.followed.as_ref().map_or(&[], |followed| followed.before.minima())
+    }
+
     #[test]
     fn a_finder_that_follows_begins_where_the_contacts_were() {
         let (first, second, nothing) = (read(0.0), read(0.0005), vec![0.0; 9]);
         let mut finder = bundle(Search::Pairs).following();
         // One that was not checked counts.
         finder.pass(&frame(&first)).unwrap();
-        assert_eq!(finder.before().len(), 2);
-        let before = finder.before().to_vec();
+        assert_eq!(minima(&finder)[0].len(), 2);
+        let before = minima(&finder).to_vec();
         let contacts = finder.find(&frame(&second)).unwrap();
         // What a node does with the second frame.
         let node = inverter(Search::Pairs);
@@ -375,14 +365,14 @@ mod tests {
         let followed = node.follow(&readings, &before, 0.0).unwrap().unwrap().contacts;
         let locations = |found: &[ContactEstimate]| found.iter().map(|f| f.position).collect::<Vec<_>>();
         assert_eq!(contacts.iter().map(|c| c.position).collect::<Vec<_>>(), locations(&followed));
-        assert_eq!(locations(finder.before()), locations(&followed));
+        assert_eq!(locations(&minima(&finder)[0]), locations(&followed));
         // Contacts that ended are not where the next ones begin.
         finder.pass(&frame(&nothing)).unwrap();
-        assert!(finder.before().is_empty());
+        assert!(minima(&finder).is_empty());
         finder.find(&frame(&first)).unwrap();
-        assert_eq!(finder.before().len(), 2);
+        assert_eq!(minima(&finder)[0].len(), 2);
         finder.reset();
-        assert!(finder.before().is_empty());
+        assert!(minima(&finder).is_empty());
     }
 
     #[test]
@@ -391,7 +381,7 @@ mod tests {
         for mut finder in [bundle(Search::Pairs), bundle(Search::Greedy).following()] {
             finder.pass(&frame(&signal)).unwrap();
             assert_eq!(finder.find(&frame(&signal)).unwrap().len(), 2);
-            assert!(finder.before().is_empty());
+            assert!(minima(&finder).is_empty());
         }
     }
 }

@@ -1,19 +1,22 @@
-//! Minima of one contact: which locations explain the readings, and how likely each is.
+//! Minima: which contacts, as many in each, explain the readings, and how likely each minimum is.
 //!
 //! Problem: few elements that each respond to half of a surface can read nearly the same for touches far apart. Least squares then has
 //! several minima, and a search that stops at the first plausible one is wrong by centimetres. Method: the locations of the dictionary
 //! that may hold a minimum are all refined; each minimum has the evidence of its Laplace approximation, √det C · exp(−χ²/2) times the
-//! prior of its force (D. J. C. MacKay, *Neural Comput.* 4 (1992) 415, eq. 4.1). The answer is their mean, which has the least expected
+//! prior of its forces (D. J. C. MacKay, *Neural Comput.* 4 (1992) 415, eq. 4.1). The answer is their mean, which has the least expected
 //! square of the error (S. M. Kay, *Fundamentals of Statistical Signal Processing* I, 10.3). A place may hold a minimum where it explains
 //! the readings better than its neighbours do, and where what it leaves is no more than noise and the pitch of the dictionary leave. Where
-//! the best minimum leaves more than noise, χ² is in units of what it leaves ([`Inverter::excess`]).
+//! the best minimum leaves more than noise, χ² is in units of what it leaves ([`Inverter::excess`]). Of several contacts, each is the mean of
+//! those that are next to it in the minima, none of them next to two (linear assignment). Minima of several are those that a search of all
+//! pairs of locations ended in.
 //! Assumptions: as the search's; minima are Gaussian and apart. Cost: one product with the dictionary, and a minimisation for each candidate.
 
 use dermis_model::{Indentation, Unknown, Unknowns};
+use dermis_skin::assign;
 use nalgebra::{Matrix3, Point3, Vector3};
 
 use super::misfit::{GROWN, left};
-use super::{Inverter, counted, plausible, residuals};
+use super::{Inverter, PLAUSIBLE, counted, plausible, residuals};
 use crate::contact::{ContactEstimate, Reading, Solution};
 use crate::fit::{Datum, Minimum, Problem, sum_of_squares};
 use crate::settings::InverterError;
@@ -35,7 +38,7 @@ const UNLIKELY: f64 = 1e-3;
 /// Factor by which a force has changed when minima are looked for anew: the noise hides others beside half of it, or no longer beside twice.
 const CHANGED: f64 = 2.0;
 
-/// A minimum of one contact.
+/// A minimum, among others of as many contacts.
 pub(super) struct Mode {
     pub minimum: Minimum,
     /// Share of the evidence of all minima.
@@ -85,8 +88,9 @@ impl Inverter {
     }
 
     /// Minima with their shares of the evidence, the likeliest first.
-    fn weighted(&self, minima: Vec<Minimum>, data: &[Datum]) -> Vec<Mode> {
-        let excess = self.excess(minima.iter().map(|m| m.chi2).fold(f64::INFINITY, f64::min), data);
+    pub(super) fn weighted(&self, minima: Vec<Minimum>, data: &[Datum]) -> Vec<Mode> {
+        let best = minima.iter().min_by(|a, b| a.chi2.total_cmp(&b.chi2));
+        let excess = best.map_or(1.0, |best| self.excess(best, data));
         let evidence: Vec<f64> = minima.iter().map(|m| self.log_evidence(m, excess)).collect();
         let most = evidence.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let mut modes: Vec<Mode> = minima
@@ -104,9 +108,11 @@ impl Inverter {
         modes
     }
 
-    /// The one contact that explains these readings, near the `minima` that a search of an earlier frame has found: what
-    /// [`solve`](Self::solve) finds, in a fraction of its time, for as long as no other minimum comes up. `None` where none of them explains
-    /// the readings. [`has_moved`](Self::has_moved) says when to search anew.
+    /// The contacts that explain these readings, near the `minima` that a search of an earlier frame has found
+    /// ([`Solution::minima`]): what [`solve`](Self::solve) and [`search`](Self::search) find, in a fraction of their time, for as long as the
+    /// same contacts last and no other minimum comes up. `None` where none of the minima explains the readings or, of several contacts or
+    /// where several are looked for, where fewer would do or locations are all but open. Then search anew; and where
+    /// [`has_moved`](Self::has_moved) says so.
     ///
     /// `misfit` is what that search left ([`Solution::misfit`]): no search explains more of a device that differs from its model, so that
     /// minima that leave about as much explain the readings, too.
@@ -114,56 +120,97 @@ impl Inverter {
     /// # Errors
     ///
     /// [`InverterError::Channels`] for readings of another skin.
-    pub fn follow_minima(
+    pub fn follow(
         &self,
         readings: &[Reading],
-        minima: &[ContactEstimate],
+        minima: &[Vec<ContactEstimate>],
         misfit: f64,
     ) -> Result<Option<Solution>, InverterError> {
         self.check(readings)?;
+        let s = &self.settings;
         let data = self.data(readings);
-        let Some(freedom) = counted(&data).checked_sub(self.settings.unknowns.count()) else {
+        let Some(likeliest) = minima.first().filter(|m| !m.is_empty() && m.len() <= s.contacts) else {
             return Ok(None);
         };
+        let Some(freedom) = counted(&data).checked_sub(s.unknowns.count() * likeliest.len()) else {
+            return Ok(None);
+        };
+        // Where only one contact is looked for, no other number would explain the readings better.
+        let is_open =
+            |contacts: &[ContactEstimate]| s.contacts > 1 && contacts.iter().any(|c| self.is_broad(c));
+        if is_open(likeliest) {
+            return Ok(None);
+        }
         let problem = self.problem(&data);
         let mut found = Vec::new();
-        for start in self.settings.indentations(minima) {
-            self.add(&mut found, problem.minimise(vec![start])?);
+        for contacts in minima.iter().filter(|m| m.len() == likeliest.len()) {
+            self.add(&mut found, problem.minimise(s.indentations(contacts))?);
         }
         let modes = self.weighted(found, &data);
-        let explains = |mode: &&Mode| left(&mode.minimum, &data, GROWN * misfit) <= plausible(freedom);
-        Ok(modes.first().filter(explains).map(|best| self.among(&best.minimum, &modes, &data)))
+        let explains = |m: &&Mode| left(&m.minimum, &data, GROWN * misfit) <= plausible(freedom);
+        let Some(best) = modes.first().filter(explains).map(|mode| &mode.minimum) else { return Ok(None) };
+        let error = self.misfit(best, &data);
+        // Any of them may have ended, not the weakest alone.
+        for i in 0..if best.contacts.len() > 1 { best.contacts.len() } else { 0 } {
+            let mut fewer = best.contacts.clone();
+            fewer.remove(i);
+            if left(&problem.minimise(fewer)?, &data, error) - left(best, &data, error) < s.evidence {
+                return Ok(None);
+            }
+        }
+        let solution = self.among(best, &modes, &data);
+        Ok((!solution.minima.first().is_some_and(|contacts| is_open(contacts))).then_some(solution))
     }
 
-    /// Whether a contact is so far from where a search found it, or presses so much harder or less, that other minima may have come up.
+    /// Whether none of the minima `now` is where a search found the likeliest: contacts are that far from there, or press so much harder or less,
+    /// that other minima may have come up. What noise makes of them does not count.
     #[must_use]
-    pub fn has_moved(&self, searched: &ContactEstimate, now: &ContactEstimate) -> bool {
-        let ratio = now.force.norm() / searched.force.norm().max(1e-9);
-        (now.position - searched.position).norm() > self.spacing
-            || !(1.0 / CHANGED..=CHANGED).contains(&ratio)
+    pub fn has_moved(&self, searched: &[ContactEstimate], now: &[Vec<ContactEstimate>]) -> bool {
+        let stays = |was: &ContactEstimate, is: &ContactEstimate| {
+            let (ratio, noise) =
+                (is.force.norm() / was.force.norm().max(1e-9), was.force_covariance.trace().max(0.0).sqrt());
+            (is.position - was.position).norm() <= self.spacing.max(PLAUSIBLE * was.deviation())
+                && ((1.0 / CHANGED..=CHANGED).contains(&ratio)
+                    || (is.force - was.force).norm() <= PLAUSIBLE * noise)
+        };
+        let is_there = |contacts: &Vec<ContactEstimate>| {
+            contacts.len() == searched.len()
+                && searched.iter().all(|was| contacts.iter().any(|is| stays(was, is)))
+        };
+        !now.iter().any(is_there)
     }
 
-    /// What `best` says, one of `modes` where it is a single contact.
+    /// What `best` says, one of `modes` where these are of as many contacts.
     pub(super) fn among(&self, best: &Minimum, modes: &[Mode], data: &[Datum]) -> Solution {
         let mut solution = self.solution(best, data);
-        if let [single] = solution.contacts.as_mut_slice() {
-            let weighed = |mode: &Mode| self.describe(&mode.minimum, data).into_iter().zip([mode.share]);
-            let minima: Vec<(ContactEstimate, f64)> = modes.iter().flat_map(weighed).collect();
-            self.weigh(single, &minima);
-            let likely =
-                minima.into_iter().enumerate().filter(|(i, (_, share))| *i == 0 || *share > UNLIKELY);
-            solution.minima = likely.map(|(_, (contact, _))| contact).collect();
+        let number = solution.contacts.len();
+        let alike = modes.iter().filter(|mode| mode.minimum.contacts.len() == number && number > 0);
+        let minima: Vec<(Vec<ContactEstimate>, f64)> =
+            alike.map(|mode| (self.describe(&mode.minimum, data), mode.share)).collect();
+        let mut of_each: Vec<Vec<(ContactEstimate, f64)>> = vec![Vec::new(); number];
+        for (contacts, share) in &minima {
+            let away = |i: usize, k: usize| (solution.contacts[i].position - contacts[k].position).norm();
+            for (of_one, k) in of_each.iter_mut().zip(assign(number, number, away)) {
+                of_one.extend(k.map(|k| (contacts[k].clone(), *share)));
+            }
         }
+        for (contact, minima) in solution.contacts.iter_mut().zip(of_each) {
+            self.weigh(contact, &minima, number == 1);
+        }
+        let likely = minima.into_iter().enumerate().filter(|(i, (_, share))| *i == 0 || *share > UNLIKELY);
+        solution.minima = likely.map(|(_, (contacts, _))| contacts).collect();
         solution
     }
 
     /// Answers for all minima that may be true: with their mean, where there is a place on the surface, or with the likeliest; with the
-    /// spread of all of them about it in either case.
+    /// spread of all of them about it in either case. A `single` contact whose place is all but open has been answered over all locations.
     ///
     /// The mean has the least expected square of the error, and is what a filter takes a contact with its covariance for. Of locations on
     /// two sides of a limb it lies inside: nobody can touch that.
-    fn weigh(&self, answer: &mut ContactEstimate, minima: &[(ContactEstimate, f64)]) {
-        if minima.first().is_none_or(|(_, share)| *share >= CERTAIN) || self.is_broad(answer) {
+    fn weigh(&self, answer: &mut ContactEstimate, minima: &[(ContactEstimate, f64)], single: bool) {
+        // Where the readings fix none of them, none has a share.
+        let decided = minima.first().is_none_or(|(_, share)| *share >= CERTAIN || *share <= 0.0);
+        if decided || single && self.is_broad(answer) {
             return;
         }
         let contacts = || minima.iter().filter(|(_, share)| *share > 0.0);
@@ -189,10 +236,12 @@ impl Inverter {
         (answer.position_covariance, answer.force_covariance) = (location, force);
     }
 
-    /// Takes a minimum in; two starts that end in one place are one minimum.
-    fn add(&self, minima: &mut Vec<Minimum>, found: Minimum) {
-        let Some(location) = found.contacts.first().map(|c| c.position) else { return };
-        let same = |m: &&mut Minimum| self.is_at(m, location);
+    /// Takes a minimum in, unless contacts have run into one another; two starts that end in one place are one minimum.
+    pub(super) fn add(&self, minima: &mut Vec<Minimum>, found: Minimum) {
+        if found.contacts.is_empty() || !self.apart(&found) {
+            return;
+        }
+        let same = |m: &&mut Minimum| found.contacts.iter().all(|c| self.is_at(m, c.position));
         match minima.iter_mut().find(same) {
             Some(other) if self.score(&found) < self.score(other) => *other = found,
             Some(_) => {}
@@ -277,7 +326,8 @@ impl Inverter {
         let information = minimum.covariance.as_ref().and_then(|c| (c * excess).try_inverse());
         let Some(mut information) = information else { return f64::NEG_INFINITY };
         let (far, strong) = (APART * self.spacing, self.settings.force_max);
-        for (k, unknown) in self.settings.unknowns.list().iter().enumerate() {
+        let of_each = self.settings.unknowns.list();
+        for (k, unknown) in of_each.iter().cycle().take(information.nrows()).enumerate() {
             let scale = if matches!(unknown, Unknown::Along(_)) { far } else { strong };
             information[(k, k)] += scale.powi(-2);
         }
