@@ -362,10 +362,10 @@ mod tests {
         // What a node does with the second frame.
         let node = inverter(Search::Pairs);
         let readings: Vec<_> = readings(&second, &WELL).collect();
-        let followed = node.follow(&readings, &before, 0.0).unwrap().unwrap().contacts;
+        let followed = node.follow(&readings, &before, 0.0).unwrap().unwrap();
         let locations = |found: &[ContactEstimate]| found.iter().map(|f| f.position).collect::<Vec<_>>();
-        assert_eq!(contacts.iter().map(|c| c.position).collect::<Vec<_>>(), locations(&followed));
-        assert_eq!(locations(&minima(&finder)[0]), locations(&followed));
+        assert_eq!(contacts.iter().map(|c| c.position).collect::<Vec<_>>(), locations(&followed.contacts));
+        assert_eq!(locations(&minima(&finder)[0]), locations(&followed.minima[0]));
         // Contacts that ended are not where the next ones begin.
         finder.pass(&frame(&nothing)).unwrap();
         assert!(minima(&finder).is_empty());
