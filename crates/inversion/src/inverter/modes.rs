@@ -241,7 +241,8 @@ impl Inverter {
         if found.contacts.is_empty() || !self.apart(&found) {
             return;
         }
-        let same = |m: &&mut Minimum| found.contacts.iter().all(|c| self.is_at(m, c.position));
+        let covers = |m: &Minimum, other: &Minimum| other.contacts.iter().all(|c| self.is_at(m, c.position));
+        let same = |m: &&mut Minimum| covers(m, &found) && covers(&found, m);
         match minima.iter_mut().find(same) {
             Some(other) if self.score(&found) < self.score(other) => *other = found,
             Some(_) => {}

@@ -4,7 +4,7 @@
 //! read alike. Method: least squares from the best pairs of locations, as signals of single presses add up, then from what the best of their
 //! minima becomes with one contact elsewhere (orthogonal matching pursuit with replacement: P. Jain, A. Tewari and I. S. Dhillon, *Adv. Neural
 //! Inf. Process. Syst.* 24 (2011)). All minima count ([`Inverter::weighted`]). `cargo xtask measure doubles` says how often the right ones are
-//! found and whether errors are as stated. Assumptions: as the search's. Cost: some ten milliseconds.
+//! found and whether errors are as stated. Assumptions: as the search's. Cost: about ten milliseconds on the limb.
 
 use dermis_model::Indentation;
 
@@ -59,7 +59,7 @@ impl Inverter {
     }
 
     /// As [`solve`](Self::solve), but looks for two contacts among all pairs of locations, not for the second beside the first:
-    /// where elements are few and each responds to half of the surface, the best single contact may be none of the two. Takes some ten
+    /// where elements are few and each responds to half of the surface, the best single contact may be none of the two. Takes about ten
     /// milliseconds.
     ///
     /// # Errors
