@@ -7,10 +7,10 @@
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 
-use dermis_inversion::{Inverter, InverterError, Reading, Solution};
+use dermis_inversion::{ContactEstimate, Inverter, InverterError, Reading, Solution};
 use dermis_skin::Contact;
 
-use crate::finder::{Before, Learned, search};
+use crate::finder::{Learned, search};
 
 /// A search, with all that it needs.
 pub(super) struct Job {
@@ -18,7 +18,7 @@ pub(super) struct Job {
     readings: Vec<Reading>,
     learned: Vec<Contact>,
     complete: bool,
-    before: Before,
+    before: Vec<ContactEstimate>,
 }
 
 impl Job {
@@ -26,14 +26,14 @@ impl Job {
         inverter: &Arc<Inverter>,
         readings: &[Reading],
         learned: Learned<'_>,
-        before: &Before,
+        before: &[ContactEstimate],
     ) -> Self {
         Self {
             inverter: Arc::clone(inverter),
             readings: readings.to_vec(),
             learned: learned.contacts.to_vec(),
             complete: learned.complete,
-            before: before.clone(),
+            before: before.to_vec(),
         }
     }
 
@@ -140,7 +140,7 @@ mod tests {
         (settings.contacts, settings.search) = (2, Search::Pairs);
         let inverter = Arc::new(Inverter::new(Arc::new(model), settings).unwrap());
         let readings: Vec<Reading> = signal.iter().map(|v| Reading::Exact(*v)).collect();
-        Job::of(&inverter, &readings, Learned::default(), &Before::default())
+        Job::of(&inverter, &readings, Learned::default(), &[])
     }
 
     /// Until no search runs.

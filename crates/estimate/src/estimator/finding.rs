@@ -211,7 +211,7 @@ impl SkinEstimator {
         }
         let anew = followed.is_none() || self.before.may_have_changed(inverter, self.skin.rate);
         if !background.is_searching() && anew {
-            let job = Job::of(inverter, &self.readings, learned, &self.before);
+            let job = Job::of(inverter, &self.readings, learned, self.before.likeliest());
             if let Err(job) = background.begin(job) {
                 let found = job.search()?;
                 self.before.search(inverter, &found);

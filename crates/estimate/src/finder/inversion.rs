@@ -47,14 +47,14 @@ pub(crate) fn search(
     inverter: &Inverter,
     readings: &[Reading],
     learned: Learned<'_>,
-    before: &Before,
+    before: &[ContactEstimate],
 ) -> Result<Solution, InverterError> {
     if inverter.settings().in_pairs() {
         let complete = if learned.complete { learned.starts(inverter) } else { Vec::new() };
         return inverter.search_from(readings, &complete);
     }
     if inverter.settings().search == Search::Near {
-        return inverter.search_near(readings, before.likeliest(), &learned.starts(inverter));
+        return inverter.search_near(readings, before, &learned.starts(inverter));
     }
     let hint = learned.contacts.first().filter(|c| is_known(c));
     inverter.solve(readings, hint.map(|c| indentation(inverter, c)).as_ref())
@@ -87,7 +87,7 @@ pub(crate) fn solve(
         before.follow(inverter, &solution);
         return Ok(solution);
     }
-    let solution = search(inverter, readings, learned, before)?;
+    let solution = search(inverter, readings, learned, before.likeliest())?;
     before.search(inverter, &solution);
     Ok(solution)
 }
