@@ -55,7 +55,8 @@ pub struct Options {
     rate: f64,
 }
 
-/// Measures the bundle for one contact with one, on a device as designed and on one that differs, and that for two with one and with two.
+/// Measures the bundle for one contact with one, on a device as designed and on one that differs, and that for two with one, and with two on
+/// either.
 ///
 /// # Errors
 ///
@@ -69,6 +70,7 @@ pub fn run(options: &Options) -> Result<Value> {
         ("hapdef-shin", 1, true),
         ("hapdef-shin-two", 1, false),
         ("hapdef-shin-two", 2, false),
+        ("hapdef-shin-two", 2, true),
     ];
     for (n, (bundle, contacts, differs)) in cases.into_iter().enumerate() {
         let name = format!("{bundle}, {contacts} pressing{}", if differs { ", differs" } else { "" });
@@ -85,6 +87,7 @@ pub fn run(options: &Options) -> Result<Value> {
     Ok(json!({
         "rate_hz": options.rate, "seconds": options.seconds,
         "one": rows[0], "one_differs": rows[1], "two_bundle_one_pressing": rows[2], "two": rows[3],
+        "two_differs": rows[4],
     }))
 }
 

@@ -49,7 +49,7 @@ impl Before {
         } else if !inverter.settings().is_single() {
             self.minima = vec![found.contacts.clone()];
         }
-        self.followed += 1;
+        self.followed = self.followed.saturating_add(1);
         // One frame in hundreds leaves more by chance, and would make up for contacts that come and go.
         if found.misfit <= 0.0 {
             self.misfit = 0.0;
