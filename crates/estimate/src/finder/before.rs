@@ -11,12 +11,12 @@ pub(crate) struct Before {
     searched: Vec<ContactEstimate>,
     /// By how much the device differs from its model, as that search says ([`Solution::misfit`]); 0 once noise explains a frame.
     misfit: f64,
-    /// Frames that were followed since.
-    followed: u32,
+    /// Frames since that search.
+    frames: u32,
 }
 
 /// \[s\] after which pairs are looked for again on a device that seems to differ from its model: a search that missed the right pair leaves as much.
-/// Searches of some ten milliseconds then take a fifth of a core.
+/// What that costs is the row of two contacts on a device that differs of `cargo xtask bench limb`.
 const AGAIN: f64 = 0.1;
 
 impl Before {
@@ -36,7 +36,7 @@ impl Before {
     /// Begins anew at what a search found.
     pub(crate) fn search(&mut self, inverter: &Inverter, found: &Solution) {
         self.minima.clear();
-        (self.misfit, self.followed) = (found.misfit, 0);
+        (self.misfit, self.frames) = (found.misfit, 0);
         self.follow(inverter, found);
         self.searched = self.likeliest().to_vec();
     }
@@ -49,7 +49,7 @@ impl Before {
         } else if !inverter.settings().is_single() {
             self.minima = vec![found.contacts.clone()];
         }
-        self.followed = self.followed.saturating_add(1);
+        self.frames = self.frames.saturating_add(1);
         // One frame in hundreds leaves more by chance, and would make up for contacts that come and go.
         if found.misfit <= 0.0 {
             self.misfit = 0.0;
@@ -63,7 +63,7 @@ impl Before {
         if self.misfit <= 0.0 && !settings.is_single() {
             return false;
         }
-        settings.in_pairs() && f64::from(self.followed) > AGAIN * rate
+        settings.in_pairs() && f64::from(self.frames) > AGAIN * rate
             || inverter.has_moved(&self.searched, &self.minima)
     }
 }

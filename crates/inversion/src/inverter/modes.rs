@@ -195,7 +195,10 @@ impl Inverter {
             }
         }
         for (contact, minima) in solution.contacts.iter_mut().zip(of_each) {
-            self.weigh(contact, &minima, number == 1);
+            // A single contact whose place is all but open has been answered over all locations.
+            if number > 1 || !self.is_broad(contact) {
+                self.weigh(contact, &minima);
+            }
         }
         let likely = minima.into_iter().enumerate().filter(|(i, (_, share))| *i == 0 || *share > UNLIKELY);
         solution.minima = likely.map(|(_, (contacts, _))| contacts).collect();
@@ -203,14 +206,13 @@ impl Inverter {
     }
 
     /// Answers for all minima that may be true: with their mean, where there is a place on the surface, or with the likeliest; with the
-    /// spread of all of them about it in either case. A `single` contact whose place is all but open has been answered over all locations.
+    /// spread of all of them about it in either case.
     ///
     /// The mean has the least expected square of the error, and is what a filter takes a contact with its covariance for. Of locations on
     /// two sides of a limb it lies inside: nobody can touch that.
-    fn weigh(&self, answer: &mut ContactEstimate, minima: &[(ContactEstimate, f64)], single: bool) {
+    fn weigh(&self, answer: &mut ContactEstimate, minima: &[(ContactEstimate, f64)]) {
         // Where the readings fix none of them, none has a share.
-        let decided = minima.first().is_none_or(|(_, share)| *share >= CERTAIN || *share <= 0.0);
-        if decided || single && self.is_broad(answer) {
+        if minima.first().is_none_or(|(_, share)| *share >= CERTAIN || *share <= 0.0) {
             return;
         }
         let contacts = || minima.iter().filter(|(_, share)| *share > 0.0);

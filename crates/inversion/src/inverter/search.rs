@@ -119,15 +119,15 @@ impl Inverter {
         let first = starts.len();
         let mut minima: Vec<Minimum> = Vec::new();
         for (n, start) in starts.into_iter().chain(farther).enumerate() {
-            if n >= first && minima.iter().any(|m| m.chi2 < explained) {
+            if n >= first && least(&minima) < explained {
                 break;
             }
             self.add(&mut minima, problem.minimise(start)?);
         }
         for _ in 0..ROUNDS {
-            let before = minima.iter().map(|m| m.chi2).fold(f64::INFINITY, f64::min);
+            let before = least(&minima);
             self.replace(problem, &mut minima)?;
-            let now = minima.iter().map(|m| m.chi2).fold(f64::INFINITY, f64::min);
+            let now = least(&minima);
             if now < explained || before - now < s.evidence {
                 break;
             }
@@ -176,4 +176,9 @@ impl Inverter {
         let cost = |s: &Solution| s.chi2 + self.settings.evidence * s.contacts.len() as f64;
         Ok(if cost(&refined) < cost(&found) { refined } else { found })
     }
+}
+
+/// Least sum of squared deviations that one of the minima leaves.
+fn least(minima: &[Minimum]) -> f64 {
+    minima.iter().map(|m| m.chi2).fold(f64::INFINITY, f64::min)
 }
