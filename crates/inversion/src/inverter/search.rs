@@ -135,8 +135,8 @@ impl Inverter {
         Ok(self.weighted(minima, problem.data))
     }
 
-    /// Minima from where one contact of the best is elsewhere: those that pairs of single locations do not lead to, because what they explain
-    /// together is no sum of what they explain alone, or because a step ends at an edge of the surface.
+    /// Adds the minima that are reached from the best with one of its contacts elsewhere. Pairs of single presses do not lead to all of them: a
+    /// step may end at an edge of the surface.
     fn replace(&self, problem: &Problem<'_>, minima: &mut Vec<Minimum>) -> Result<(), InverterError> {
         let best = minima.iter().min_by(|a, b| self.score(a).total_cmp(&self.score(b)));
         let Some(contacts) = best.map(|best| best.contacts.clone()) else { return Ok(()) };
