@@ -196,11 +196,12 @@ impl SkinEstimator {
     fn solved(&mut self, inverter: &Arc<Inverter>, learned: Learned<'_>) -> Result<Solution, InverterError> {
         let single = inverter.settings().is_single() && self.skin.rate > FAST;
         let follows = single || inverter.settings().follows();
+        let stamp = self.cleaned.reading.stamp;
         let Some(background) = self.background.as_mut().filter(|_| follows) else {
-            return solve(inverter, &self.readings, learned, &mut self.before);
+            return solve(inverter, &self.readings, learned, &mut self.before, stamp);
         };
         if let Some(found) = background.found() {
-            self.before.search(inverter, &found?);
+            self.before.search(inverter, &found?, stamp);
         }
         let mut followed = None;
         if single || !background.is_searching() {
@@ -209,12 +210,12 @@ impl SkinEstimator {
         if let Some(solution) = &followed {
             self.before.follow(inverter, solution);
         }
-        let anew = followed.is_none() || self.before.may_have_changed(inverter, self.skin.rate);
+        let anew = followed.is_none() || self.before.may_have_changed(inverter, stamp);
         if !background.is_searching() && anew {
             let job = Job::of(inverter, &self.readings, learned, self.before.likeliest());
             if let Err(job) = background.begin(job) {
                 let found = job.search()?;
-                self.before.search(inverter, &found);
+                self.before.search(inverter, &found, stamp);
                 return Ok(found);
             }
         }

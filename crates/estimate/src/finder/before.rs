@@ -1,6 +1,7 @@
 //! Where the search for the contacts of a frame begins: at those of the frames before.
 
 use dermis_inversion::{ContactEstimate, Inverter, Solution};
+use dermis_skin::Stamp;
 
 /// What is known of the contacts of the frames before.
 #[derive(Debug, Clone, Default)]
@@ -11,13 +12,15 @@ pub(crate) struct Before {
     searched: Vec<ContactEstimate>,
     /// By how much the device differs from its model, as that search says ([`Solution::misfit`]); 0 once noise explains a frame.
     misfit: f64,
-    /// Frames since that search.
-    frames: u32,
+    /// Stamp of the frame at which that search was answered.
+    stamp: Stamp,
+    /// The same of the first of the searches that have found these contacts, one after the other.
+    since: Stamp,
 }
 
-/// \[s\] after which pairs are looked for again on a device that seems to differ from its model: a search that missed the right pair leaves as much.
-/// What that costs is the row of two contacts on a device that differs of `cargo xtask bench limb`.
-const AGAIN: f64 = 0.1;
+/// \[ns\] after which pairs are looked for again at the latest on a device that seems to differ from its model: a search that missed the right pair
+/// leaves as much. What that costs is the row of two contacts on a device that differs of `cargo xtask bench limb`.
+const AGAIN: u64 = 100_000_000;
 
 impl Before {
     pub(crate) fn minima(&self) -> &[Vec<ContactEstimate>] {
@@ -33,11 +36,14 @@ impl Before {
         self.misfit
     }
 
-    /// Begins anew at what a search found.
-    pub(crate) fn search(&mut self, inverter: &Inverter, found: &Solution) {
+    /// Begins anew at what a search found, from the frame of this stamp on.
+    pub(crate) fn search(&mut self, inverter: &Inverter, found: &Solution, stamp: Stamp) {
         self.minima.clear();
-        (self.misfit, self.frames) = (found.misfit, 0);
+        (self.misfit, self.stamp) = (found.misfit, stamp);
         self.follow(inverter, found);
+        if inverter.has_moved(&self.searched, &self.minima) {
+            self.since = stamp;
+        }
         self.searched = self.likeliest().to_vec();
     }
 
@@ -49,21 +55,22 @@ impl Before {
         } else if !inverter.settings().is_single() {
             self.minima = vec![found.contacts.clone()];
         }
-        self.frames = self.frames.saturating_add(1);
         // One frame in hundreds leaves more by chance, and would make up for contacts that come and go.
         if found.misfit <= 0.0 {
             self.misfit = 0.0;
         }
     }
 
-    /// Whether other contacts may explain the readings by now, although these do; `rate` \[Hz\] of frames. Several that leave no more than noise
-    /// are all that there are. One may be in another minimum, and so may any on a device that differs from its model, once they have moved.
-    pub(crate) fn may_have_changed(&self, inverter: &Inverter, rate: f64) -> bool {
+    /// Whether other contacts may explain the readings of the frame of this stamp, although these do. Several that leave no more than noise
+    /// are all that there are. One may be in another minimum, and so may any on a device that differs from its model, once they have moved. There,
+    /// pairs are looked for again whenever the time for which searches have found the same has doubled, too.
+    pub(crate) fn may_have_changed(&self, inverter: &Inverter, stamp: Stamp) -> bool {
         let settings = inverter.settings();
         if self.misfit <= 0.0 && !settings.is_single() {
             return false;
         }
-        settings.in_pairs() && f64::from(self.frames) > AGAIN * rate
+        let same = self.stamp.abs_diff(self.since);
+        settings.in_pairs() && stamp.abs_diff(self.stamp) >= same.min(AGAIN)
             || inverter.has_moved(&self.searched, &self.minima)
     }
 }
@@ -79,7 +86,7 @@ mod tests {
     use super::*;
     use crate::testing::{membrane, nine};
 
-    const RATE: f64 = 1000.0;
+    const MS: Stamp = 1_000_000;
 
     fn inverter(contacts: usize) -> Inverter {
         let mut settings = Settings::new(0.004, 5.0);
@@ -102,10 +109,10 @@ mod tests {
     fn several_contacts_that_noise_explains_are_all_that_there_are() {
         let inverter = inverter(2);
         let mut before = Before::default();
-        before.search(&inverter, &found(&inverter, 1.0, 0.0));
+        before.search(&inverter, &found(&inverter, 1.0, 0.0), 0);
         assert_eq!((before.likeliest().len(), before.misfit()), (2, 0.0));
         before.follow(&inverter, &found(&inverter, 3.0, 0.0));
-        assert!(!before.may_have_changed(&inverter, RATE));
+        assert!(!before.may_have_changed(&inverter, MS));
     }
 
     #[test]
@@ -114,18 +121,22 @@ mod tests {
         let differs = found(&inverter, 1.0, 0.3);
         assert!(differs.misfit > 0.0 && differs.contacts.len() == 2, "{differs:?}");
         let mut before = Before::default();
-        before.search(&inverter, &differs);
-        before.follow(&inverter, &differs);
-        assert!(!before.may_have_changed(&inverter, RATE));
-        // Once they press harder, and after a while.
+        let mut again_from = |searched: Stamp, from: Stamp| {
+            before.search(&inverter, &differs, searched * MS);
+            before.follow(&inverter, &differs);
+            assert!(from <= searched || !before.may_have_changed(&inverter, (from - 1) * MS));
+            assert!(before.may_have_changed(&inverter, from * MS));
+        };
+        // At once, and whenever the time for which the same is found has doubled, up to a longest one.
+        again_from(3, 3);
+        again_from(13, 23);
+        again_from(23, 43);
+        again_from(303, 403);
+        // At once where they press harder.
         let mut harder = before.clone();
         harder.follow(&inverter, &found(&inverter, 3.0, 0.3));
-        assert!(harder.may_have_changed(&inverter, RATE));
-        let mut later = before.clone();
-        (0..100).for_each(|_| later.follow(&inverter, &differs));
-        assert!(later.may_have_changed(&inverter, RATE));
-        later.search(&inverter, &differs);
-        assert!(!later.may_have_changed(&inverter, RATE));
+        assert!(harder.may_have_changed(&inverter, 304 * MS));
+        assert!(!before.may_have_changed(&inverter, 304 * MS));
         // What noise explains does not differ.
         before.follow(&inverter, &found(&inverter, 1.0, 0.0));
         assert_eq!(before.misfit(), 0.0);

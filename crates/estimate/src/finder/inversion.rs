@@ -7,7 +7,7 @@
 
 use dermis_inversion::{ContactEstimate, Inverter, InverterError, Reading, Search, Solution, SparseSettings};
 use dermis_model::{Indentation, Unknowns};
-use dermis_skin::{Contact, Estimate, ForceComponents, ImageGrid};
+use dermis_skin::{Contact, Estimate, ForceComponents, ImageGrid, Stamp};
 
 use super::{Before, ConditionedFrame, ContactFinder, FindError, GivenMaps, readings, spread_forces};
 
@@ -73,22 +73,25 @@ pub(crate) fn follow(
     inverter.follow(readings, before.minima(), before.misfit())
 }
 
-/// The contacts that explain readings best. Where they are looked for in pairs, those of the frame before are followed for as long as noise
-/// explains what they leave. Who waits for each frame can wait for a search where a device differs from its model.
+/// The contacts that explain the readings of the frame of this stamp best. Where they are looked for in pairs, those of the frame before are
+/// followed for as long as they explain what they did: as where searches run in the background, if one took no time.
 pub(crate) fn solve(
     inverter: &Inverter,
     readings: &[Reading],
     learned: Learned<'_>,
     before: &mut Before,
+    stamp: Stamp,
 ) -> Result<Solution, InverterError> {
     if inverter.settings().in_pairs()
-        && let Some(solution) = inverter.follow(readings, before.minima(), 0.0)?
+        && let Some(solution) = follow(inverter, readings, learned, before)?
     {
         before.follow(inverter, &solution);
-        return Ok(solution);
+        if !before.may_have_changed(inverter, stamp) {
+            return Ok(solution);
+        }
     }
     let solution = search(inverter, readings, learned, before.likeliest())?;
-    before.search(inverter, &solution);
+    before.search(inverter, &solution, stamp);
     Ok(solution)
 }
 
@@ -228,7 +231,7 @@ impl InversionFinder {
                 let learned = Learned { contacts: &others, complete: finder.complete() };
                 let mut nothing = Before::default();
                 let before = self.followed.as_mut().map_or(&mut nothing, |followed| &mut followed.before);
-                let found = solve(inverter, &readings, learned, before)?.contacts;
+                let found = solve(inverter, &readings, learned, before, frame.stamp)?.contacts;
                 return Ok(refined(inverter, &found, others));
             }
             Start::Refine(_) => {
@@ -273,7 +276,7 @@ impl ContactFinder for InversionFinder {
         self.watch(&readings);
         if let Some(Followed { before, present: true }) = &mut self.followed {
             // A search in pairs can do without the other finder.
-            solve(&self.inverter, &readings, Learned::default(), before)?;
+            solve(&self.inverter, &readings, Learned::default(), before, frame.stamp)?;
         }
         Ok(())
     }
@@ -331,56 +334,76 @@ mod tests {
         InversionFinder::new(inverter(search), Start::Bundle(Box::new(Nothing)))
     }
 
-    /// What the pad reads of two presses, the first of which is so far \[m\] on its way.
-    fn read(moved: f64) -> Vec<f32> {
+    /// What a pad whose gains are so far from its model's reads of two presses, the first of which is so far \[m\] on its way.
+    fn read(moved: f64, gains: f64) -> Vec<f32> {
         let press = |x: f64, y: f64, force: f64| {
             Indentation::sphere(Point3::new(x, y, 0.0), Vector3::new(0.0, 0.0, -force), 0.004)
         };
         let presses = [press(-0.007 + moved, -0.006, 1.0), press(0.006, 0.007, 1.2)];
-        membrane(&nine()).read(&presses).iter().map(|v| *v as f32).collect()
+        let gain = |i: usize| 1.0 + gains * (i as f64 * 2.4).sin();
+        membrane(&nine()).read(&presses).iter().enumerate().map(|(i, v)| (v * gain(i)) as f32).collect()
     }
 
+    const MS: Stamp = 1_000_000;
     const WELL: [ChannelFlags; 9] = [ChannelFlags::OK; 9];
 
-    fn frame(signal: &[f32]) -> ConditionedFrame<'_> {
-        ConditionedFrame { stamp: 0, reading: signal, signal, flags: &WELL, image: &[], image_signal: &[] }
+    fn frame(stamp: Stamp, signal: &[f32]) -> ConditionedFrame<'_> {
+        ConditionedFrame { stamp, reading: signal, signal, flags: &WELL, image: &[], image_signal: &[] }
     }
 
     fn minima(finder: &InversionFinder) -> &[Vec<ContactEstimate>] {
         finder.followed.as_ref().map_or(&[], |followed| followed.before.minima())
     }
 
+    fn locations(found: &[ContactEstimate]) -> Vec<Point3<f64>> {
+        found.iter().map(|f| f.position).collect()
+    }
+
     #[test]
     fn a_finder_that_follows_begins_where_the_contacts_were() {
-        let (first, second, nothing) = (read(0.0), read(0.0005), vec![0.0; 9]);
-        let mut finder = bundle(Search::Pairs).following();
-        // One that was not checked counts.
-        finder.pass(&frame(&first)).unwrap();
-        assert_eq!(minima(&finder)[0].len(), 2);
-        let before = minima(&finder).to_vec();
-        let contacts = finder.find(&frame(&second)).unwrap();
-        // What a node does with the second frame.
-        let node = inverter(Search::Pairs);
-        let readings: Vec<_> = readings(&second, &WELL).collect();
-        let followed = node.follow(&readings, &before, 0.0).unwrap().unwrap();
-        let locations = |found: &[ContactEstimate]| found.iter().map(|f| f.position).collect::<Vec<_>>();
-        assert_eq!(contacts.iter().map(|c| c.position).collect::<Vec<_>>(), locations(&followed.contacts));
-        assert_eq!(locations(&minima(&finder)[0]), locations(&followed.minima[0]));
-        // Contacts that ended are not where the next ones begin.
-        finder.pass(&frame(&nothing)).unwrap();
-        assert!(minima(&finder).is_empty());
-        finder.find(&frame(&first)).unwrap();
-        assert_eq!(minima(&finder)[0].len(), 2);
-        finder.reset();
-        assert!(minima(&finder).is_empty());
+        // A device as designed, and one that differs from its model.
+        for gains in [0.0, 0.2] {
+            let (first, second, nothing) = (read(0.0, gains), read(0.0005, gains), vec![0.0; 9]);
+            let mut finder = bundle(Search::Pairs).following();
+            // Frames that were not checked count.
+            finder.pass(&frame(0, &first)).unwrap();
+            finder.pass(&frame(10 * MS, &first)).unwrap();
+            assert_eq!(minima(&finder)[0].len(), 2);
+            let before = finder.followed.as_ref().unwrap().before.clone();
+            assert_eq!(before.misfit() > 0.0, gains > 0.0);
+            let contacts = finder.find(&frame(11 * MS, &second)).unwrap();
+            // What a node does with the second frame.
+            let node = inverter(Search::Pairs);
+            let readings: Vec<_> = readings(&second, &WELL).collect();
+            let followed = node.follow(&readings, before.minima(), before.misfit()).unwrap().unwrap();
+            assert_eq!(
+                contacts.iter().map(|c| c.position).collect::<Vec<_>>(),
+                locations(&followed.contacts)
+            );
+            assert_eq!(locations(&minima(&finder)[0]), locations(&followed.minima[0]));
+            // Later a search tells, on the device that differs, whether other contacts explain them better.
+            let later = finder.find(&frame(1000 * MS, &second)).unwrap();
+            let searched = match gains > 0.0 {
+                true => node.search(&readings).unwrap(),
+                false => node.follow(&readings, &followed.minima, 0.0).unwrap().unwrap(),
+            };
+            assert_eq!(later.iter().map(|c| c.position).collect::<Vec<_>>(), locations(&searched.contacts));
+            // Contacts that ended are not where the next ones begin.
+            finder.pass(&frame(1001 * MS, &nothing)).unwrap();
+            assert!(minima(&finder).is_empty());
+            finder.find(&frame(1002 * MS, &first)).unwrap();
+            assert_eq!(minima(&finder)[0].len(), 2);
+            finder.reset();
+            assert!(minima(&finder).is_empty());
+        }
     }
 
     #[test]
     fn who_takes_each_frame_by_itself_remembers_nothing() {
-        let signal = read(0.0);
+        let signal = read(0.0, 0.0);
         for mut finder in [bundle(Search::Pairs), bundle(Search::Greedy).following()] {
-            finder.pass(&frame(&signal)).unwrap();
-            assert_eq!(finder.find(&frame(&signal)).unwrap().len(), 2);
+            finder.pass(&frame(0, &signal)).unwrap();
+            assert_eq!(finder.find(&frame(1, &signal)).unwrap().len(), 2);
             assert!(minima(&finder).is_empty());
         }
     }
