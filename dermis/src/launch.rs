@@ -51,19 +51,32 @@ const RESTART: &str = "DERMIS_RESTART_DIR";
 /// The command that is the guard of a launch.
 pub const GUARD: &str = "launch-guard";
 
-/// Ends what a launch has left, once the launch is gone.
-pub fn guard() {
-    dermis_launch::guard(std::io::stdin());
+/// What [`GUARD`] is told.
+#[derive(Args)]
+pub struct Guarded {
+    /// Folder of the launch.
+    folder: PathBuf,
 }
+
+/// Ends what a launch has left, once the launch is gone: processes, and its folder.
+pub fn guard(of: &Guarded) {
+    dermis_launch::guard(std::io::stdin());
+    let name = of.folder.file_name().map(std::ffi::OsStr::to_string_lossy);
+    if name.is_some_and(|name| name.starts_with(FOLDER)) {
+        // A launch that was not killed has removed it.
+        let _ = std::fs::remove_dir_all(&of.folder);
+    }
+}
+
+/// What the names of launches' folders begin with.
+const FOLDER: &str = "dermis-launch-";
 
 /// Runs until Ctrl-C, until a required process ends, or until all have ended.
 pub async fn run(options: &Options, format: Format) -> Result<()> {
     let program = std::env::current_exe().context("the file of this program cannot be found out")?;
     let host = Dermis { program };
-    let tmp = tempfile::Builder::new()
-        .prefix("dermis-launch-")
-        .tempdir()
-        .context("no temporary folder for the launch")?;
+    let tmp =
+        tempfile::Builder::new().prefix(FOLDER).tempdir().context("no temporary folder for the launch")?;
     let mut plan = dermis_launch::load(&options.file, &options.arguments, tmp.path(), &host)?;
     launching::hand_over(&options.network.choice(), &mut plan)?;
     if options.check {
@@ -95,7 +108,7 @@ pub async fn run(options: &Options, format: Format) -> Result<()> {
         limits,
     };
     let mut guard = Command::new(&host.program);
-    guard.arg(GUARD);
+    guard.arg(GUARD).arg(tmp.path());
     let ended = dermis_launch::run(&plan, &log, Some(guard)).await?;
     if !ended.failures.is_empty() {
         bail!("{}: {}", options.file.display(), ended.failures.join("; "));

@@ -82,7 +82,7 @@ enum Command {
     /// Start what a launch file names, keep it running, and gather what it says.
     Launch(launch::Options),
     #[command(name = launch::GUARD, hide = true)]
-    LaunchGuard,
+    LaunchGuard(launch::Guarded),
     /// Show what running skins feel, whoever started them.
     Watch(watch::Options),
     /// Put a simulated skin, or a recorded one, behind a pseudo-terminal.
@@ -181,8 +181,8 @@ pub fn run(sensors: &'static Registry) -> ExitCode {
         Command::Device(device) => device::run(&device),
         Command::Container(options) => block_on(container::run(options)),
         Command::Launch(options) => block_on(launch::run(&options, format)),
-        Command::LaunchGuard => {
-            launch::guard();
+        Command::LaunchGuard(of) => {
+            launch::guard(&of);
             Ok(())
         }
         Command::Import(import) => bags::import(&import),

@@ -4,7 +4,7 @@
 #![expect(clippy::unwrap_used, reason = "a panic is the report of a failed test")]
 
 use std::fs::File;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::mpsc::channel;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -94,8 +94,14 @@ processes:
 }
 
 fn guard_of(launch: &Launch) -> Option<i32> {
+    guard_and_folder(launch).map(|(id, _)| id)
+}
+
+/// The guard of a launch, and the folder of the launch, which it is told.
+fn guard_and_folder(launch: &Launch) -> Option<(i32, PathBuf)> {
     let of = i32::try_from(launch.peer.id()).unwrap();
-    children(of).into_iter().find(|(_, line)| line.ends_with(" launch-guard")).map(|(id, _)| id)
+    let found = |(id, line): (i32, String)| Some((id, line.split_once(" launch-guard ")?.1.into()));
+    children(of).into_iter().find_map(found)
 }
 
 #[test]
@@ -107,10 +113,13 @@ fn a_killed_guard_is_replaced_and_a_killed_launch_still_leaves_nothing() {
     let second: i32 = message.rsplit(' ').next().unwrap().parse().unwrap();
     // Until it has executed the program, its command line is that of its parent.
     until("the second guard runs", || guard_of(&launch) == Some(second));
+    let (_, folder) = guard_and_folder(&launch).unwrap();
+    assert!(folder.is_dir(), "{}", folder.display());
     launch.peer.kill();
     for (what, id) in [("the process", parent), ("its child", child), ("the guard", second)] {
         until(&format!("{what} is gone"), || !runs(id));
     }
+    assert!(!folder.exists(), "{} is left", folder.display());
 }
 
 #[test]
