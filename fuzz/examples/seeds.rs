@@ -167,6 +167,7 @@ impl Seeds {
             ("udp", "udp://[::]:7400?from=192.168.1.20"),
             ("tcp", "tcp://skin.local:7400?idle=0"),
             ("listen", "tcp://0.0.0.0:7400?listen"),
+            ("v4l2", "v4l2:///dev/video0?size=1640x1232&rate=40&idle=2"),
             ("pty", "pty://?link=/tmp/skin%20a"),
             ("replay", "replay:///data/bag?speed=0.5&topic=/skin/taxels&loop=true"),
         ] {

@@ -53,13 +53,14 @@ pub enum Newcomer {
 /// | `tcp://192.168.1.20:7400?idle=10` | connect to a server |
 /// | `http://192.168.1.20:8080/?action=stream` | get a stream from a web server: its body, without its head |
 /// | `tcp-listen://0.0.0.0:7400?newcomer=refuse&hold=1`, `tcp://0.0.0.0:7400?listen` | serve, one client is the device |
+/// | `v4l2:///dev/video0?size=1640x1232&rate=40&idle=10` | a camera of this machine (Video4Linux 2): its pictures as it compresses them (MJPEG) |
 /// | `pty:///dev/pts/3` | an existing terminal, no line settings and no lock |
 /// | `pty://`, `pty://?link=/tmp/skin` | make a pseudo-terminal and read what is written to its far end |
 /// | `replay:///data/bag?speed=1&topic=/skin/taxels&skin=left_palm&loop=false` | the `TaxelFrame`s of a rosbag2 (folder or `.mcap`) as native wire |
 ///
 /// `idle=SECONDS` reconnects when a link is silent for so long, `idle=0` never. `tcp://` does so after 10 s if nothing
-/// else is said, because a server that lost power never says goodbye; for the others silence is no reason to. `http://`
-/// does so after 10 s, too: what follows its `?` is the server's.
+/// else is said, because a server that lost power never says goodbye, and so does `v4l2://`, whose camera may hang; for the others silence is no
+/// reason to. `http://` does so after 10 s, too: what follows its `?` is the server's.
 ///
 /// A port has one device. The one that sends keeps it; what another one sends or wants is left out, counted and named,
 /// until the first has been silent for `hold=SECONDS` (1). `sender=host` takes all ports of a sender's address for one
@@ -119,6 +120,17 @@ pub enum SourceUrl {
         /// Drop the client after so long without a byte.
         idle: Option<Duration>,
     },
+    /// A camera of this machine.
+    Camera {
+        /// Device file, such as `/dev/video0` or a link under `/dev/v4l/by-id`.
+        path: PathBuf,
+        /// \[pixels\] width and height of its pictures; as the camera is set where absent.
+        size: Option<[u32; 2]>,
+        /// \[Hz\] of its pictures; as the camera is set where absent.
+        rate: Option<u32>,
+        /// Open it again after so long without a picture; `None` never.
+        idle: Option<Duration>,
+    },
     /// A pseudo-terminal.
     Pty {
         /// An existing terminal, or `None` to make a pair and read its master end.
@@ -141,7 +153,7 @@ pub enum SourceUrl {
     },
 }
 
-const SCHEMES: &[&str] = &["serial", "udp", "tcp", "tcp-listen", "http", "pty", "replay"];
+const SCHEMES: &[&str] = &["serial", "udp", "tcp", "tcp-listen", "http", "v4l2", "pty", "replay"];
 
 /// \[baud\] rate of a serial URL that names none.
 const DEFAULT_BAUD: u32 = 115_200;
@@ -149,7 +161,7 @@ const DEFAULT_BAUD: u32 = 115_200;
 /// Silence after which a port is no longer a device's own. Longer than a device pauses, shorter than one takes to start.
 const HOLD: Duration = Duration::from_secs(1);
 
-/// Silence after which a TCP server is taken to be gone.
+/// Silence after which a TCP server, or a camera, is taken to be gone.
 pub(crate) const TCP_IDLE: Duration = Duration::from_secs(10);
 
 impl SourceUrl {
@@ -170,6 +182,7 @@ impl SourceUrl {
             "tcp" => Self::tcp(parser("tcp", &["listen", "newcomer", "hold", "idle"])?),
             "tcp-listen" => parser("tcp-listen", &["newcomer", "hold", "idle"])?.tcp_listen(),
             "http" => http(url, rest),
+            "v4l2" => Self::camera(&mut parser("v4l2", &["size", "rate", "idle"])?),
             "pty" => Self::pty(&mut parser("pty", &["link"])?),
             "replay" => Self::replay(&mut parser("replay", &["speed", "topic", "skin", "loop"])?),
             _ => Err(TransportError::UnknownScheme {
@@ -230,6 +243,20 @@ impl SourceUrl {
             }
         }
         Ok(Self::Tcp { address: q.host_port()?, idle: q.idle_or(Some(TCP_IDLE))? })
+    }
+
+    /// A camera of this machine.
+    fn camera(q: &mut Query<'_>) -> Result<Self, TransportError> {
+        let path = q.path("a device file, as in v4l2:///dev/video0?size=1640x1232&rate=40")?;
+        let size = q.take_with("size", "WIDTHxHEIGHT in pixels, as in 1640x1232", |v| {
+            let (width, height) = v.split_once('x')?;
+            let side = |text: &str| text.parse::<u32>().ok().filter(|side| (1..=65_535).contains(side));
+            Some([side(width)?, side(height)?])
+        })?;
+        let rate = q.take_with("rate", "pictures a second from 1 to 1000", |v| {
+            v.parse::<u32>().ok().filter(|rate| (1..=1000).contains(rate))
+        })?;
+        Ok(Self::Camera { path, size, rate, idle: q.idle_or(Some(TCP_IDLE))? })
     }
 
     /// A pseudo-terminal.
@@ -307,6 +334,14 @@ impl Display for SourceUrl {
                     (*newcomer == Newcomer::Replace).then(|| "newcomer=replace".into()),
                     hold_key(*hold),
                     idle_key(idle),
+                ],
+            ),
+            Self::Camera { path, size, rate, idle } => (
+                format!("v4l2://{}", escape(&path.to_string_lossy())),
+                vec![
+                    size.map(|[width, height]| format!("size={width}x{height}")),
+                    rate.map(|rate| format!("rate={rate}")),
+                    idle_key(&Some(idle.unwrap_or_default())),
                 ],
             ),
             Self::Pty { path, link } => (

@@ -3,6 +3,7 @@
 
 mod bags;
 mod browser;
+mod camera;
 mod collect;
 mod container;
 mod corpus;

@@ -3,7 +3,10 @@
 //! A picture that is twice, four or eight times as wide as the skin's is made smaller while it is decoded: of each square of 8 pixels
 //! only the lowest frequencies are transformed back, which takes half of the time or less. Of other multiples means are taken.
 
+use std::borrow::Cow;
 use std::fmt::Display;
+use std::ops::Range;
+use std::sync::LazyLock;
 
 use dermis_skin::{Image, PixelFormat};
 use jpeg_encoder::{ColorType, Encoder as JpegEncoder, SamplingFactor};
@@ -27,8 +30,49 @@ pub(crate) fn most_bytes([width, height]: [u32; 2]) -> usize {
     (pixels * COLOURS).clamp(1 << 16, 1 << 26)
 }
 
+/// Kinds of segments: codes, of two sorts, and the head of a scan.
+const HUFFMAN: u8 = 0xc4;
+const ARITHMETIC: u8 = 0xcc;
+const SCAN: u8 = 0xda;
+
+/// The usual codes (ITU-T T.81, K.3), which cameras leave out of each picture of a stream: as our encoder writes them.
+static USUAL_CODES: LazyLock<Vec<u8>> = LazyLock::new(|| {
+    let mut jpeg = Vec::new();
+    let square = Image::new(8, 8, PixelFormat::Rgb8, vec![0; 8 * 8 * COLOURS]);
+    if square.is_none_or(|square| compress(&square, &mut jpeg).is_err()) {
+        return Vec::new();
+    }
+    let codes = segments(&jpeg).filter(|(kind, _)| *kind == HUFFMAN);
+    codes.flat_map(|(_, range)| jpeg[range].to_vec()).collect()
+});
+
+/// Segments of a picture with their kinds, up to the head of its first scan; fewer where something else is in between.
+fn segments(jpeg: &[u8]) -> impl Iterator<Item = (u8, Range<usize>)> {
+    let mut at = Some(2);
+    std::iter::from_fn(move || {
+        let begin = at?;
+        let [0xff, kind, high, low] = *jpeg.get(begin..)?.first_chunk()? else { return None };
+        let end = begin + 2 + usize::from(u16::from_be_bytes([high, low]));
+        at = (kind != SCAN).then_some(end);
+        (end <= jpeg.len()).then_some((kind, begin..end))
+    })
+}
+
+/// A picture with codes: the usual ones where it has none.
+fn with_codes(jpeg: &[u8]) -> Cow<'_, [u8]> {
+    for (kind, range) in segments(jpeg) {
+        match kind {
+            HUFFMAN | ARITHMETIC => break,
+            SCAN => return [&jpeg[..range.start], &USUAL_CODES, &jpeg[range.start..]].concat().into(),
+            _ => {}
+        }
+    }
+    jpeg.into()
+}
+
 /// A picture of `size` pixels, or of a whole multiple of them.
 pub(crate) fn decode(jpeg: &[u8], [width, height]: [u32; 2]) -> Result<Image, String> {
+    let jpeg = &*with_codes(jpeg);
     let wrong = |error: DecodeErrors| format!("a picture is no JPEG that can be read: {error}");
     let options = DecoderOptions::default().set_strict_mode(false);
     let mut decoder = JpegDecoder::new_with_options(ZCursor::new(jpeg), options);
@@ -112,4 +156,45 @@ pub(crate) fn sent(image: &Image) -> Result<Image, String> {
     let mut jpeg = Vec::new();
     compress(image, &mut jpeg)?;
     Ok(decode(&jpeg, [image.width(), image.height()])?.with_jpeg(jpeg))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SIZE: [u32; 2] = [48, 32];
+
+    fn picture(times: u32) -> Vec<u8> {
+        let [width, height] = SIZE.map(|side| side * times);
+        let data: Vec<u8> =
+            (0..width * height * 3).map(|i| (i / 3 % width * 4 / times + i % 3 * 20) as u8).collect();
+        let mut jpeg = Vec::new();
+        compress(&Image::new(width, height, PixelFormat::Rgb8, data).unwrap(), &mut jpeg).unwrap();
+        jpeg
+    }
+
+    /// As webcams send them.
+    #[test]
+    fn a_picture_without_codes_has_the_usual_ones() {
+        for times in [1, 2, 3] {
+            let jpeg = picture(times);
+            let ranges: Vec<_> = segments(&jpeg).filter(|(kind, _)| *kind == HUFFMAN).collect();
+            assert!(!ranges.is_empty());
+            let mut without = jpeg.clone();
+            ranges.into_iter().rev().for_each(|(_, range)| drop(without.drain(range)));
+            assert!(without.len() + 400 < jpeg.len());
+            let (there, usual) = (decode(&jpeg, SIZE).unwrap(), decode(&without, SIZE).unwrap());
+            assert!(there.data() == usual.data(), "{times}");
+        }
+    }
+
+    #[test]
+    fn what_has_codes_or_is_no_picture_stays_as_it_is() {
+        let jpeg = picture(1);
+        for bytes in
+            [&jpeg[..], &jpeg[..60], b"", b"\xff\xd8", b"\xff\xd8\xff\xda\xff\xff", b"no picture at all"]
+        {
+            assert!(matches!(with_codes(bytes), Cow::Borrowed(same) if same == bytes));
+        }
+    }
 }

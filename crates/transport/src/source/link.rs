@@ -1,5 +1,6 @@
 //! Links: what is read once a source is connected, and how each kind is opened.
 
+mod camera;
 mod http;
 
 use std::io::{self, ErrorKind, Read, Write};
@@ -36,6 +37,7 @@ enum Wire {
     Udp { socket: UdpSocket, senders: Senders },
     Tcp(TcpStream),
     Http(http::Body),
+    Camera(camera::Camera),
 }
 
 impl Wire {
@@ -46,6 +48,7 @@ impl Wire {
             Self::Udp { socket, .. } => socket.as_fd(),
             Self::Tcp(stream) => stream.as_fd(),
             Self::Http(body) => body.as_fd(),
+            Self::Camera(camera) => camera.as_fd(),
         }
     }
 
@@ -56,6 +59,7 @@ impl Wire {
             Self::Pty(pty) => pty.try_read(buffer).map(Some),
             Self::Tcp(stream) => stream.read(buffer).map(Some),
             Self::Http(body) => body.read(buffer).map(Some),
+            Self::Camera(camera) => camera.read(buffer),
             Self::Udp { socket, senders } => {
                 let (n, sender) = socket.recv_from(buffer)?;
                 if n == 0 {
@@ -86,8 +90,8 @@ impl Wire {
             Self::Terminal(terminal) => terminal.file().write(bytes),
             Self::Pty(pty) => pty.write_lossy(bytes),
             Self::Tcp(stream) => stream.write(bytes),
-            // The request to a web server was sent already.
-            Self::Http(_) => Ok(bytes.len()),
+            // The request to a web server was sent already, and a camera takes none.
+            Self::Http(_) | Self::Camera(_) => Ok(bytes.len()),
             Self::Udp { socket, senders } => match senders.read() {
                 Some(peer) => socket.send_to(bytes, peer),
                 None => Ok(bytes.len()),
@@ -97,7 +101,11 @@ impl Wire {
 
     /// Whether bytes are there that no wait for the line would tell of.
     fn holds(&self) -> bool {
-        matches!(self, Self::Http(body) if body.holds())
+        match self {
+            Self::Http(body) => body.holds(),
+            Self::Camera(camera) => camera.holds(),
+            _ => false,
+        }
     }
 
     /// What the end of the stream, or this error, means to people.
@@ -106,7 +114,7 @@ impl Wire {
             (Self::Terminal(_) | Self::Pty(_), None) => {
                 format!("{name} went away: it was unplugged, or lost power")
             }
-            (Self::Terminal(_) | Self::Pty(_), Some(e))
+            (Self::Terminal(_) | Self::Pty(_) | Self::Camera(_), Some(e))
                 if matches!(
                     e.raw_os_error().map(nix::errno::Errno::from_raw),
                     Some(nix::errno::Errno::EIO | nix::errno::Errno::ENXIO | nix::errno::Errno::ENODEV)
@@ -316,6 +324,13 @@ impl Opener {
             SourceUrl::TcpListen { bind, idle, .. } => {
                 let (bind, idle) = (*bind, *idle);
                 self.accept(bind, idle, reader)
+            }
+            SourceUrl::Camera { path, size, rate, idle } => {
+                reader.busy.store(true, Ordering::Release);
+                let camera = camera::Camera::open(path, *size, *rate, reader.options.connect_timeout);
+                reader.busy.store(false, Ordering::Release);
+                let (camera, description) = camera?;
+                Ok(Some(Link::new(Wire::Camera(camera), path.display().to_string(), description, *idle)))
             }
             SourceUrl::Replay { .. } => Err("a recording is not a link".into()),
         }

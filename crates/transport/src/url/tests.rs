@@ -84,8 +84,8 @@ fn reads_every_scheme() {
 
 #[test]
 fn errors_name_the_part_and_what_is_valid() {
-    insta::assert_snapshot!(error("/dev/ttyACM0"), @"source `/dev/ttyACM0` is not a URL: write it as SCHEME://…, where SCHEME is one of serial, udp, tcp, tcp-listen, http, pty, replay");
-    insta::assert_snapshot!(error("usb:///dev/ttyACM0"), @"source `usb:///dev/ttyACM0` has the unknown scheme `usb`; valid schemes are serial, udp, tcp, tcp-listen, http, pty, replay");
+    insta::assert_snapshot!(error("/dev/ttyACM0"), @"source `/dev/ttyACM0` is not a URL: write it as SCHEME://…, where SCHEME is one of serial, udp, tcp, tcp-listen, http, v4l2, pty, replay");
+    insta::assert_snapshot!(error("usb:///dev/ttyACM0"), @"source `usb:///dev/ttyACM0` has the unknown scheme `usb`; valid schemes are serial, udp, tcp, tcp-listen, http, v4l2, pty, replay");
     insta::assert_snapshot!(error("serial:///dev/ttyACM0?baudrate=9600"), @"source `serial:///dev/ttyACM0?baudrate=9600` has the unknown key `baudrate`; valid keys of serial:// are baud, parity, stop, idle");
     insta::assert_snapshot!(error("serial:///dev/ttyACM0?baud=fast"), @"source `serial:///dev/ttyACM0?baud=fast` has baud=fast, but baud must be a rate from 50 to 12000000");
     insta::assert_snapshot!(error("serial://?baud=9600"), @"source `serial://?baud=9600` has no usable path: expected a device file, as in serial:///dev/ttyACM0?baud=115200");
@@ -120,6 +120,13 @@ fn any_url() -> impl Strategy<Value = SourceUrl> {
             let newcomer = if replace { Newcomer::Replace } else { Newcomer::Refuse };
             SourceUrl::TcpListen { bind, newcomer, hold, idle }
         }),
+        (
+            path(),
+            proptest::option::of([1u32..=65_535, 1u32..=65_535]),
+            proptest::option::of(1u32..=1000),
+            idle()
+        )
+            .prop_map(|(path, size, rate, idle)| SourceUrl::Camera { path, size, rate, idle }),
         proptest::option::of(path()).prop_map(|path| SourceUrl::Pty { path, link: None }),
         path().prop_map(|link| SourceUrl::Pty { path: None, link: Some(link) }),
         (
@@ -146,7 +153,7 @@ proptest! {
     }
 
     #[test]
-    fn never_panics(text in "(serial|udp|tcp|pty|replay)?(://)?.{0,40}") {
+    fn never_panics(text in "(serial|udp|tcp|v4l2|pty|replay)?(://)?.{0,40}") {
         let _ = SourceUrl::parse(&text);
     }
 }
