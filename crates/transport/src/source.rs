@@ -351,6 +351,14 @@ struct Reader {
 }
 
 impl Reader {
+    /// Does what the stop pipe cannot interrupt.
+    fn while_busy<T>(&self, work: impl FnOnce() -> T) -> T {
+        self.busy.store(true, Ordering::Release);
+        let done = work();
+        self.busy.store(false, Ordering::Release);
+        done
+    }
+
     fn run(&self) {
         let _end = EndOnDrop(&self.queue);
         if let SourceUrl::Replay { path, speed, topic, skin, repeat } = &self.url {

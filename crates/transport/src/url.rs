@@ -161,8 +161,8 @@ const DEFAULT_BAUD: u32 = 115_200;
 /// Silence after which a port is no longer a device's own. Longer than a device pauses, shorter than one takes to start.
 const HOLD: Duration = Duration::from_secs(1);
 
-/// Silence after which a TCP server, or a camera, is taken to be gone.
-pub(crate) const TCP_IDLE: Duration = Duration::from_secs(10);
+/// Silence after which a server, or a camera, is taken to be gone.
+pub(crate) const IDLE: Duration = Duration::from_secs(10);
 
 impl SourceUrl {
     /// Reads a URL.
@@ -242,7 +242,7 @@ impl SourceUrl {
                 return Err(q.invalid(key, value, "left out without listen: here no client connects"));
             }
         }
-        Ok(Self::Tcp { address: q.host_port()?, idle: q.idle_or(Some(TCP_IDLE))? })
+        Ok(Self::Tcp { address: q.host_port()?, idle: q.idle_or(Some(IDLE))? })
     }
 
     /// A camera of this machine.
@@ -256,7 +256,7 @@ impl SourceUrl {
         let rate = q.take_with("rate", "pictures a second from 1 to 1000", |v| {
             v.parse::<u32>().ok().filter(|rate| (1..=1000).contains(rate))
         })?;
-        Ok(Self::Camera { path, size, rate, idle: q.idle_or(Some(TCP_IDLE))? })
+        Ok(Self::Camera { path, size, rate, idle: q.idle_or(Some(IDLE))? })
     }
 
     /// A pseudo-terminal.

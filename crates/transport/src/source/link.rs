@@ -7,7 +7,6 @@ use std::io::{self, ErrorKind, Read, Write};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, TcpStream, ToSocketAddrs, UdpSocket};
 use std::os::fd::{AsFd, BorrowedFd};
 use std::path::Path;
-use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use nix::poll::{PollFd, PollFlags, poll};
@@ -16,7 +15,7 @@ use super::queue::{Queue, Refused};
 use super::senders::{Notices, Senders, Verdict};
 use super::serial::{self, Line, Terminal};
 use super::{Reader, poll_timeout};
-use crate::url::TCP_IDLE;
+use crate::url::IDLE;
 use crate::{Newcomer, Pty, SourceUrl};
 
 /// How a read ended.
@@ -306,30 +305,25 @@ impl Opener {
                 Ok(Some(Link::new(wire, format!("UDP {local}"), description, *idle)))
             }
             SourceUrl::Tcp { address, idle } => {
-                reader.busy.store(true, Ordering::Release);
-                let stream = connect(address, reader.options.connect_timeout);
-                reader.busy.store(false, Ordering::Release);
-                let link =
-                    Link::new(Wire::Tcp(stream?), format!("TCP {address}"), format!("TCP {address}"), *idle);
-                Ok(Some(link))
+                let stream = reader.while_busy(|| connect(address, reader.options.connect_timeout))?;
+                let name = format!("TCP {address}");
+                Ok(Some(Link::new(Wire::Tcp(stream), name.clone(), name, *idle)))
             }
             SourceUrl::Http { address, path } => {
-                reader.busy.store(true, Ordering::Release);
-                let body = connect(address, reader.options.connect_timeout)
-                    .and_then(|stream| http::Body::of(stream, address, path, reader.options.connect_timeout));
-                reader.busy.store(false, Ordering::Release);
+                let timeout = reader.options.connect_timeout;
+                let body = reader
+                    .while_busy(|| http::Body::of(connect(address, timeout)?, address, path, timeout))?;
                 let name = self.url.to_string();
-                Ok(Some(Link::new(Wire::Http(body?), name.clone(), name, Some(TCP_IDLE))))
+                Ok(Some(Link::new(Wire::Http(body), name.clone(), name, Some(IDLE))))
             }
             SourceUrl::TcpListen { bind, idle, .. } => {
                 let (bind, idle) = (*bind, *idle);
                 self.accept(bind, idle, reader)
             }
             SourceUrl::Camera { path, size, rate, idle } => {
-                reader.busy.store(true, Ordering::Release);
-                let camera = camera::Camera::open(path, *size, *rate, reader.options.connect_timeout);
-                reader.busy.store(false, Ordering::Release);
-                let (camera, description) = camera?;
+                let timeout = reader.options.connect_timeout;
+                let (camera, description) =
+                    reader.while_busy(|| camera::Camera::open(path, *size, *rate, timeout))?;
                 Ok(Some(Link::new(Wire::Camera(camera), path.display().to_string(), description, *idle)))
             }
             SourceUrl::Replay { .. } => Err("a recording is not a link".into()),

@@ -40,7 +40,7 @@ fn reads_every_scheme() {
     );
     assert_eq!(
         SourceUrl::parse("tcp://skin.local:7400").unwrap(),
-        SourceUrl::Tcp { address: "skin.local:7400".into(), idle: Some(TCP_IDLE) }
+        SourceUrl::Tcp { address: "skin.local:7400".into(), idle: Some(IDLE) }
     );
     let listen = SourceUrl::TcpListen {
         bind: "0.0.0.0:7400".parse().unwrap(),
