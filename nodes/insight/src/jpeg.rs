@@ -30,10 +30,18 @@ pub(crate) fn most_bytes([width, height]: [u32; 2]) -> usize {
     (pixels * COLOURS).clamp(1 << 16, 1 << 26)
 }
 
-/// Kinds of segments: codes, of two sorts, and the head of a scan.
-const HUFFMAN: u8 = 0xc4;
-const ARITHMETIC: u8 = 0xcc;
-const SCAN: u8 = 0xda;
+/// Markers (the byte after 255).
+pub(crate) mod marker {
+    /// Of a byte 255 in compressed data.
+    pub const STUFFED: u8 = 0x00;
+    pub const FILL: u8 = 0xff;
+    pub const HUFFMAN_CODES: u8 = 0xc4;
+    pub const ARITHMETIC_CODES: u8 = 0xcc;
+    pub const RESTARTS: std::ops::RangeInclusive<u8> = 0xd0..=0xd7;
+    pub const BEGIN: u8 = 0xd8;
+    pub const END: u8 = 0xd9;
+    pub const SCAN: u8 = 0xda;
+}
 
 /// The usual codes (ITU-T T.81, K.3), which cameras leave out of each picture of a stream: as our encoder writes them.
 static USUAL_CODES: LazyLock<Vec<u8>> = LazyLock::new(|| {
@@ -42,7 +50,7 @@ static USUAL_CODES: LazyLock<Vec<u8>> = LazyLock::new(|| {
     if square.is_none_or(|square| compress(&square, &mut jpeg).is_err()) {
         return Vec::new();
     }
-    let codes = segments(&jpeg).filter(|(kind, _)| *kind == HUFFMAN);
+    let codes = segments(&jpeg).filter(|(kind, _)| *kind == marker::HUFFMAN_CODES);
     codes.flat_map(|(_, range)| jpeg[range].to_vec()).collect()
 });
 
@@ -53,7 +61,7 @@ fn segments(jpeg: &[u8]) -> impl Iterator<Item = (u8, Range<usize>)> {
         let begin = at?;
         let [0xff, kind, high, low] = *jpeg.get(begin..)?.first_chunk()? else { return None };
         let end = begin + 2 + usize::from(u16::from_be_bytes([high, low]));
-        at = (kind != SCAN).then_some(end);
+        at = (kind != marker::SCAN).then_some(end);
         (end <= jpeg.len()).then_some((kind, begin..end))
     })
 }
@@ -62,8 +70,10 @@ fn segments(jpeg: &[u8]) -> impl Iterator<Item = (u8, Range<usize>)> {
 fn with_codes(jpeg: &[u8]) -> Cow<'_, [u8]> {
     for (kind, range) in segments(jpeg) {
         match kind {
-            HUFFMAN | ARITHMETIC => break,
-            SCAN => return [&jpeg[..range.start], &USUAL_CODES, &jpeg[range.start..]].concat().into(),
+            marker::HUFFMAN_CODES | marker::ARITHMETIC_CODES => break,
+            marker::SCAN => {
+                return [&jpeg[..range.start], &USUAL_CODES, &jpeg[range.start..]].concat().into();
+            }
             _ => {}
         }
     }
@@ -178,7 +188,7 @@ mod tests {
     fn a_picture_without_codes_has_the_usual_ones() {
         for times in [1, 2, 3] {
             let jpeg = picture(times);
-            let ranges: Vec<_> = segments(&jpeg).filter(|(kind, _)| *kind == HUFFMAN).collect();
+            let ranges: Vec<_> = segments(&jpeg).filter(|(kind, _)| *kind == marker::HUFFMAN_CODES).collect();
             assert!(!ranges.is_empty());
             let mut without = jpeg.clone();
             ranges.into_iter().rev().for_each(|(_, range)| drop(without.drain(range)));

@@ -16,6 +16,7 @@ use dermis_transport::framing::{DecoderStats, Rejection};
 use memchr::{memchr, memmem};
 
 use super::{BEGINS, Pictures};
+use crate::jpeg::marker;
 use crate::optics::Observer;
 
 /// As skin files name it.
@@ -23,17 +24,6 @@ pub const NAME: &str = "mjpeg";
 
 /// \[bytes\] between two pictures that are taken for the head of the next one; more are no stream of pictures.
 const BETWEEN: usize = 4096;
-
-/// Markers (the byte after 255).
-mod marker {
-    /// Of a byte 255 in compressed data.
-    pub const STUFFED: u8 = 0x00;
-    pub const FILL: u8 = 0xff;
-    pub const RESTARTS: std::ops::RangeInclusive<u8> = 0xd0..=0xd7;
-    pub const BEGIN: u8 = 0xd8;
-    pub const END: u8 = 0xd9;
-    pub const SCAN: u8 = 0xda;
-}
 
 /// How far into a picture its markers have been followed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
