@@ -205,10 +205,7 @@ impl SkinEstimator {
         }
         let mut followed = None;
         if single || !background.is_searching() {
-            followed = follow(inverter, &self.readings, learned, &self.before)?;
-        }
-        if let Some(solution) = &followed {
-            self.before.follow(inverter, solution);
+            followed = follow(inverter, &self.readings, learned, &mut self.before)?;
         }
         let anew = followed.is_none() || self.before.may_have_changed(inverter, stamp);
         if !background.is_searching() && anew {

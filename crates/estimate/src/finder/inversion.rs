@@ -60,17 +60,22 @@ pub(crate) fn search(
     inverter.solve(readings, hint.map(|c| indentation(inverter, c)).as_ref())
 }
 
-/// The same, near the contacts before only: `None` where a search has to tell.
+/// The same, near the contacts before only, which it goes on with: `None` where a search has to tell.
 pub(crate) fn follow(
     inverter: &Inverter,
     readings: &[Reading],
     learned: Learned<'_>,
-    before: &Before,
+    before: &mut Before,
 ) -> Result<Option<Solution>, InverterError> {
-    if inverter.settings().search == Search::Near {
-        return inverter.follow_near(readings, before.likeliest(), &learned.starts(inverter));
+    let followed = if inverter.settings().search == Search::Near {
+        inverter.follow_near(readings, before.likeliest(), &learned.starts(inverter))?
+    } else {
+        inverter.follow(readings, before.minima(), before.misfit())?
+    };
+    if let Some(solution) = &followed {
+        before.follow(inverter, solution);
     }
-    inverter.follow(readings, before.minima(), before.misfit())
+    Ok(followed)
 }
 
 /// The contacts that explain the readings of the frame of this stamp best. Where they are looked for in pairs, those of the frame before are
@@ -84,11 +89,9 @@ pub(crate) fn solve(
 ) -> Result<Solution, InverterError> {
     if inverter.settings().in_pairs()
         && let Some(solution) = follow(inverter, readings, learned, before)?
+        && !before.may_have_changed(inverter, stamp)
     {
-        before.follow(inverter, &solution);
-        if !before.may_have_changed(inverter, stamp) {
-            return Ok(solution);
-        }
+        return Ok(solution);
     }
     let solution = search(inverter, readings, learned, before.likeliest())?;
     before.search(inverter, &solution, stamp);
