@@ -48,6 +48,9 @@ pub struct Options {
 /// Names the folder in which nodes keep what they want to know after a crash.
 const RESTART: &str = "DERMIS_RESTART_DIR";
 
+/// What the names of launches' folders begin with.
+const FOLDER: &str = "dermis-launch-";
+
 /// The command that is the guard of a launch.
 pub const GUARD: &str = "launch-guard";
 
@@ -67,9 +70,6 @@ pub fn guard(of: &Guarded) {
         let _ = std::fs::remove_dir_all(&of.folder);
     }
 }
-
-/// What the names of launches' folders begin with.
-const FOLDER: &str = "dermis-launch-";
 
 /// Runs until Ctrl-C, until a required process ends, or until all have ended.
 pub async fn run(options: &Options, format: Format) -> Result<()> {
