@@ -11,8 +11,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
+use dermis_msgs::Message;
 use dermis_node::network::SessionOptions;
-use dermis_node::{HirozBackend, HirozConfig};
+use dermis_node::{HirozBackend, HirozConfig, Node, NodeOptions, Qos, Subscription};
 
 pub mod hand;
 pub mod launch;
@@ -166,6 +167,31 @@ pub fn isolate(command: &mut Command) {
 pub fn backend() -> HirozBackend {
     let session = SessionOptions { scouting_port: Some(scouting_port()), ..SessionOptions::default() };
     HirozBackend::new(HirozConfig { session, ..HirozConfig::default() })
+}
+
+/// A node of the test itself, of this name and on this machine only.
+///
+/// # Panics
+///
+/// Where it cannot be opened.
+#[must_use]
+pub fn open_node(name: &str) -> Node {
+    let options = NodeOptions::new(name).domain_id(domain()).localhost_only(true);
+    Node::open(options, &backend()).unwrap_or_else(|e| panic!("node {name}: {e}"))
+}
+
+/// What comes on a topic, for as long as the subscription is kept.
+///
+/// # Panics
+///
+/// Where there is no such topic.
+pub fn listen<T: Message>(node: &Node, topic: &str, qos: Qos) -> (Subscription, Receiver<T>) {
+    let (send, messages) = channel();
+    let subscription = node.subscribe::<T>(topic, qos, move |message, _| {
+        // A test that got what it wanted hangs up.
+        let _ = send.send(message);
+    });
+    (subscription.unwrap_or_else(|e| panic!("{topic}: {e}")), messages)
 }
 
 fn signal(process: u32, name: &str) {

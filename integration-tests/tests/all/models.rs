@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, channel};
+use std::sync::mpsc::Receiver;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -18,10 +18,10 @@ use dermis_inference::{
     Baseline, Bundle, BundleWriter, FeatureConfig, Manifest, OutputConfig, OutputSpec, Runtime,
     RuntimeConfig, TrainingSection,
 };
-use dermis_integration_tests::{Peer, backend, domain, program, refused, root};
+use dermis_integration_tests::{Peer, domain, listen, open_node, program, refused, root};
 use dermis_msgs::msg::ContactArray;
 use dermis_msgs::srv::{LoadModel, LoadModelRequest};
-use dermis_node::{Node, NodeOptions, Qos, Subscription};
+use dermis_node::{Node, Qos, Subscription};
 use dermis_skin::SkinDescription;
 use dermis_transport::Pty;
 use dermis_transport::framing::{NativeEncoder, NativeFormat};
@@ -116,14 +116,8 @@ struct Bench {
 
 impl Bench {
     fn new() -> Self {
-        let options = NodeOptions::new("operator").domain_id(domain()).localhost_only(true);
-        let node = Node::open(options, &backend()).unwrap();
-        let (send, contacts) = channel();
-        let subscription = node
-            .subscribe::<ContactArray>("contacts", Qos::sensor_data(), move |array, _| {
-                let _ = send.send(array);
-            })
-            .unwrap();
+        let node = open_node("operator");
+        let (subscription, contacts) = listen(&node, "contacts", Qos::sensor_data());
         let folder = tempfile::tempdir().unwrap();
         bundle(&folder.path().join("models/good"), |g, x| linear(g, x, 1.0));
         Self { folder, node, contacts, _subscription: subscription }

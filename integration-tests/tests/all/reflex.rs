@@ -4,12 +4,12 @@
 #![expect(clippy::unwrap_used, reason = "a panic is the report of a failed test")]
 
 use std::process::Command;
-use std::sync::mpsc::{Receiver, channel};
+use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 
 use dermis_body::{HistoryLimits, Robot};
 use dermis_fusion::{Fuser, Settings, messages};
-use dermis_integration_tests::{Peer, backend, domain, finish, isolate, program, refused, root};
+use dermis_integration_tests::{Peer, finish, isolate, open_node, program, refused, root};
 use dermis_msgs::Message;
 use dermis_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
 use dermis_msgs::geometry_msgs::msg::{Point, Twist, Vector3};
@@ -17,7 +17,7 @@ use dermis_msgs::msg::{Contact, ContactArray};
 use dermis_msgs::std_msgs::msg::Bool;
 use dermis_msgs::std_msgs::msg::Header;
 use dermis_msgs::std_srvs::srv::{Trigger, TriggerRequest};
-use dermis_node::{Node, NodeOptions, Qos, Subscription};
+use dermis_node::{Node, Qos, Subscription};
 use dermis_reflex::{Reflex, Rules};
 
 /// Longest wait for anything, on a machine at full load.
@@ -41,12 +41,7 @@ fn dermis() -> Command {
 }
 
 fn listen<T: Message>(node: &Node, topic: &str) -> (Subscription, Receiver<T>) {
-    let (send, messages) = channel();
-    let subscription = node.subscribe::<T>(topic, Qos::reliable(100), move |message, _| {
-        // A test that got what it wanted hangs up.
-        let _ = send.send(message);
-    });
-    (subscription.unwrap(), messages)
+    dermis_integration_tests::listen(node, topic, Qos::reliable(100))
 }
 
 fn expect<T>(messages: &Receiver<T>, what: &str, fits: impl Fn(&T) -> bool) -> T {
@@ -74,8 +69,7 @@ fn a_press_stops_the_robot_and_so_does_a_node_that_is_killed() {
     let [plan, rules, link] = ["plan.toml", "rules.toml", "device"].map(|name| folder.path().join(name));
     std::fs::write(&plan, PRESSED).unwrap();
     std::fs::write(&rules, RULES).unwrap();
-    let options = NodeOptions::new("robot").domain_id(domain()).localhost_only(true);
-    let robot = Node::open(options, &backend()).unwrap();
+    let robot = open_node("robot");
     let (_stop, stop) = listen::<Bool>(&robot, "/stop");
     let (_twist, twist) = listen::<Twist>(&robot, "/cmd_vel");
     let (_diagnostics, diagnostics) = listen::<DiagnosticArray>(&robot, "/diagnostics");
@@ -140,8 +134,7 @@ fn the_end_of_the_reflexes_is_a_stop() {
     // Nothing is required of the input, so that nothing acts until the end.
     let idle = RULES.replace("quiet = 0.05", "quiet = 0.05\ncounts_as_touched = []");
     std::fs::write(&rules, idle).unwrap();
-    let options = NodeOptions::new("robot").domain_id(domain()).localhost_only(true);
-    let robot = Node::open(options, &backend()).unwrap();
+    let robot = open_node("robot");
     let (_stop, stop) = listen::<Bool>(&robot, "/stop");
     let mut reflex = Peer::start(dermis().arg("reflex").arg(&rules));
     expect(&stop, "a heartbeat", |stop| !stop.data);

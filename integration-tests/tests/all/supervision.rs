@@ -6,13 +6,12 @@
 use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::sync::mpsc::channel;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use dermis_integration_tests::launch::{Launch, PATIENCE, children, kill, runs, until};
-use dermis_integration_tests::{Peer, backend, domain, program, root};
+use dermis_integration_tests::{Peer, listen, open_node, program, root};
 use dermis_msgs::msg::ContactArray;
-use dermis_node::{Node, NodeOptions, Qos};
+use dermis_node::Qos;
 
 fn now_ns() -> i64 {
     i64::try_from(SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_nanos()).unwrap()
@@ -20,14 +19,8 @@ fn now_ns() -> i64 {
 
 #[test]
 fn contacts_come_back_after_a_kill() {
-    let node =
-        Node::open(NodeOptions::new("watch").domain_id(domain()).localhost_only(true), &backend()).unwrap();
-    let (send, contacts) = channel();
-    let _subscription = node
-        .subscribe::<ContactArray>("contacts", Qos::sensor_data(), move |array, _| {
-            let _ = send.send(array);
-        })
-        .unwrap();
+    let node = open_node("watch");
+    let (_subscription, contacts) = listen::<ContactArray>(&node, "contacts", Qos::sensor_data());
     let mut launch = Launch::start(&format!(
         "
 processes:

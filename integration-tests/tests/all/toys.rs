@@ -13,11 +13,11 @@ use std::time::{Duration, Instant};
 
 use dermis_bag::{BagReader, Filter};
 use dermis_integration_tests::launch::until;
-use dermis_integration_tests::{Peer, backend, domain, finish, isolate, json, program, refused, root};
+use dermis_integration_tests::{Peer, finish, isolate, json, open_node, program, refused, root};
 use dermis_msgs::TypeSupport;
 use dermis_msgs::msg::{ContactArray, ForceMap, TaxelFrame};
 use dermis_msgs::sensor_msgs::msg::Image;
-use dermis_node::{Node, NodeOptions, Qos, Subscription};
+use dermis_node::{Node, Qos, Subscription};
 
 const FOAM: &str = "integration-tests/toys/skins/toy-foam.toml";
 const CAMERA: &str = "integration-tests/toys/skins/toy-camera.toml";
@@ -141,14 +141,9 @@ fn its_node_finds_contacts_on_the_wire() {
     let link = folder.path().join("foam");
     let mut simulate = toys(&["device", "simulate", FOAM, "--link"]);
     let _device = Peer::start(simulate.arg(&link).arg("--plan").arg(plan(folder.path(), "pressed", 500, 4)));
-    let options = NodeOptions::new("listener").domain_id(domain()).localhost_only(true);
-    let node = Node::open(options, &backend()).unwrap();
-    let (found, contacts) = channel();
-    let _contacts = node
-        .subscribe::<ContactArray>("contacts", Qos::sensor_data(), move |array, _| {
-            let _ = found.send(array);
-        })
-        .unwrap();
+    let node = open_node("listener");
+    let (_contacts, contacts) =
+        dermis_integration_tests::listen::<ContactArray>(&node, "contacts", Qos::sensor_data());
     let (read, frames) = channel();
     let _frames = node
         .subscribe::<TaxelFrame>("taxels", Qos::sensor_data(), move |frame, _| {
@@ -195,8 +190,7 @@ fn recorded(bag: &Path, topic: &str) -> Vec<Vec<u8>> {
 /// one, the bag holds of each topic what a listener got, byte for byte, and no frame is missing.
 fn record_node(skin: &str, plan: &Path, topics: &[(&str, &'static TypeSupport)]) -> BagReader {
     let [link, bag] = ["device", "recorded"].map(|name| plan.with_file_name(name));
-    let options = NodeOptions::new("listener").domain_id(domain()).localhost_only(true);
-    let node = Node::open(options, &backend()).unwrap();
+    let node = open_node("listener");
     let heard: Vec<_> = topics.iter().map(|&(topic, support)| listen(&node, topic, support)).collect();
     let mut simulate = toys(&["device", "simulate", skin, "--link"]);
     let mut device = Peer::start(simulate.arg(&link).arg("--plan").arg(plan));
@@ -338,26 +332,16 @@ fn the_node_publishes_images_and_the_force_map(folder: &Path, model: &Path) {
     let link = folder.join("pad");
     let mut simulate = toys(&["device", "simulate", CAMERA, "--link"]);
     let _device = Peer::start(simulate.arg(&link).arg("--plan").arg(pad_plan(folder, "pressed", 500, 4)));
-    let options = NodeOptions::new("listener").domain_id(domain()).localhost_only(true);
-    let node = Node::open(options, &backend()).unwrap();
+    let node = open_node("listener");
     let (seen, images) = channel();
     let _images = node
         .subscribe::<Image>("image", Qos::sensor_data(), move |image, _| {
             let _ = seen.send((image.width, image.height, image.encoding, image.data.len()));
         })
         .unwrap();
-    let (sender, maps) = channel();
-    let _maps = node
-        .subscribe::<ForceMap>("force_map", Qos::sensor_data(), move |map, _| {
-            let _ = sender.send(map);
-        })
-        .unwrap();
-    let (found, contacts) = channel();
-    let _contacts = node
-        .subscribe::<ContactArray>("contacts", Qos::sensor_data(), move |array, _| {
-            let _ = found.send(array);
-        })
-        .unwrap();
+    let (_maps, maps) = dermis_integration_tests::listen::<ForceMap>(&node, "force_map", Qos::sensor_data());
+    let (_contacts, contacts) =
+        dermis_integration_tests::listen::<ContactArray>(&node, "contacts", Qos::sensor_data());
     let mut run = toys(&["run", CAMERA, "--source"]);
     let _node = Peer::start(run.arg(format!("pty://{}", link.display())).arg("--model").arg(model));
     assert_eq!(images.recv_timeout(PATIENCE).unwrap(), (320, 240, "rgb8".to_owned(), 320 * 240 * 3));
