@@ -97,16 +97,48 @@ impl Thumb {
     #[must_use]
     pub fn locate(&self, p: &Point3<f64>) -> (f64, f64, f64) {
         let [sin, cos] = self.slope;
-        let (r, z) = (p.x.hypot(p.y), p.z - self.centre);
+        let (square, z) = (p.x * p.x + p.y * p.y, p.z - self.centre);
+        let r = square.sqrt();
         let azimuth = p.y.atan2(p.x);
         // Beside the cone's normal through the end of the cap, or above it.
         if z * cos >= r * sin {
             let polar = r.atan2(z);
-            (polar * self.tip, azimuth, self.tip - r.hypot(z))
+            (polar * self.tip, azimuth, self.tip - (square + z * z).sqrt())
         } else {
             let down = r * sin - z * cos;
             (self.cap + down, azimuth, self.tip - (r * cos + z * sin))
         }
+    }
+
+    /// \[m\] along a unit vector from a point to the surface at this `depth` below the outside; `None` where the point is not within that surface,
+    /// or the ray never leaves it.
+    #[must_use]
+    pub fn way_out(&self, from: &Point3<f64>, ray: &Vector3<f64>, depth: f64) -> Option<f64> {
+        let [sin, cos] = self.slope;
+        let radius = self.tip - depth;
+        if self.locate(from).2 <= depth {
+            return None;
+        }
+        let from = Vector3::new(from.x, from.y, from.z - self.centre);
+        // Half the linear term, and the constant one, of a quadratic that is negative within; a ray is along the unit vector.
+        let larger = |square: f64, half: f64, constant: f64| {
+            let root = (half * half - square * constant).max(0.0).sqrt();
+            // Without a difference of two numbers that are nearly alike.
+            if half > 0.0 { -constant / (half + root) } else { (root - half) / square }
+        };
+        let along = from.dot(ray);
+        let sphere = larger(1.0, along, from.norm_squared() - radius * radius);
+        let p = from + ray * sphere;
+        if sphere > 0.0 && p.z * cos >= (p.x * p.x + p.y * p.y).sqrt() * sin {
+            return Some(sphere);
+        }
+        // (r cos)² = (R − z sin)².
+        let rest = radius - from.z * sin;
+        let square = cos * cos * (ray.x * ray.x + ray.y * ray.y) - sin * sin * ray.z * ray.z;
+        let half = cos * cos * (from.x * ray.x + from.y * ray.y) + rest * sin * ray.z;
+        let constant = cos * cos * (from.x * from.x + from.y * from.y) - rest * rest;
+        let cone = larger(square, half, constant);
+        (cone > 0.0 && cone.is_finite()).then_some(cone)
     }
 
     /// \[1/m\] mean of both curvatures of the outside at the way `s`.
@@ -169,6 +201,23 @@ mod tests {
     }
 
     proptest! {
+        #[test]
+        fn rays_leave_at_the_depth_that_was_asked_for(
+            height in 0.005..0.055f64, beside in 0.0..0.004f64, around in -3.1..3.1f64, polar in 0.0..2.5f64, azimuth in -3.1..3.1f64,
+            depth in 0.0..0.004f64,
+        ) {
+            let thumb = thumb();
+            let from = Point3::new(beside * around.cos(), beside * around.sin(), height);
+            let ray = Vector3::new(polar.sin() * azimuth.cos(), polar.sin() * azimuth.sin(), polar.cos());
+            let way = thumb.way_out(&from, &ray, depth).unwrap();
+            prop_assert!((thumb.locate(&(from + ray * way)).2 - depth).abs() < 1e-12);
+            // It is the first such place, and beyond it there is no way out.
+            for share in [0.1, 0.5, 0.9] {
+                prop_assert!(thumb.locate(&(from + ray * (way * share))).2 > depth);
+            }
+            prop_assert_eq!(thumb.way_out(&(from + ray * (way + 1e-6)), &ray, depth), None);
+        }
+
         #[test]
         fn locations_are_found_again(share in 0.001..0.999f64, azimuth in -3.1..3.1f64, depth in -0.002..0.004f64) {
             let thumb = thumb();

@@ -113,6 +113,13 @@ impl Elastomer {
         self.thickness + (fovea.thickness - self.thickness) * thin
     }
 
+    /// \[m\] where it is thinnest, and where it is thickest.
+    #[must_use]
+    pub fn thicknesses(&self) -> [f64; 2] {
+        let fovea = self.fovea.as_ref().map_or(self.thickness, |fovea| fovea.thickness);
+        [self.thickness.min(fovea), self.thickness.max(fovea)]
+    }
+
     /// \[m\] from the tip to where the elastomer ends.
     #[must_use]
     pub fn end(&self) -> f64 {

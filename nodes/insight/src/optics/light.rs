@@ -79,6 +79,16 @@ pub struct Light {
     pub gamma: f64,
 }
 
+/// A lamp whose beam reaches a point.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Reaching<'a> {
+    lamp: &'a Lamp,
+    /// Of its beam there, over the square of the distance in units of the reference.
+    strength: f64,
+    /// Unit vector from the point to the lamp.
+    towards: Vector3<f64>,
+}
+
 impl Light {
     /// What one lamp sends to a point, per unit of its intensity: 1 on a plane that faces it at the reference distance, in its beam.
     #[must_use]
@@ -122,23 +132,41 @@ impl Light {
         Some((inside * REFERENCE * REFERENCE / square, way / distance, distance))
     }
 
+    /// The lamps whose beams reach a point.
+    pub(super) fn reaching(&self, p: &Point3<f64>) -> impl Iterator<Item = Reaching<'_>> {
+        let at = *p;
+        self.lamps.iter().filter_map(move |lamp| {
+            let (strength, towards, _) = self.beam_at(lamp, &at)?;
+            Some(Reaching { lamp, strength, towards })
+        })
+    }
+
     /// Light of each colour of the lamps that a point of the inside sends to the camera; `normal` points inwards, `view` to the camera.
     #[must_use]
     pub fn radiance(&self, p: &Point3<f64>, normal: &Vector3<f64>, view: &Vector3<f64>) -> [f64; COLOURS] {
+        self.reflected(self.reaching(p), normal, view)
+    }
+
+    /// The same of a point that these lamps reach.
+    pub(super) fn reflected<'a>(
+        &self,
+        reaching: impl IntoIterator<Item = Reaching<'a>>,
+        normal: &Vector3<f64>,
+        view: &Vector3<f64>,
+    ) -> [f64; COLOURS] {
         let mut sum = self.ambient;
-        for lamp in &self.lamps {
-            let Some((beam, l, _)) = self.beam_at(lamp, p) else { continue };
-            let facing = normal.dot(&l);
+        for Reaching { lamp, strength, towards } in reaching {
+            let facing = normal.dot(&towards);
             if facing <= 0.0 {
                 continue;
             }
             let mut reflected = self.finish.diffuse * facing;
             if self.finish.specular > 0.0 {
-                let half = (l + view).try_normalize(1e-9).map_or(0.0, |h| normal.dot(&h).max(0.0));
+                let half = (towards + view).try_normalize(1e-9).map_or(0.0, |h| normal.dot(&h).max(0.0));
                 reflected += self.finish.specular * self.finish.lobe(half);
             }
             for (sum, power) in sum.iter_mut().zip(lamp.power) {
-                *sum += power * beam * reflected;
+                *sum += power * strength * reflected;
             }
         }
         sum
