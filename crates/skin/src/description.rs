@@ -256,26 +256,28 @@ impl SkinDescription {
     /// the design can be tried on the device.
     ///
     /// Names of taxels and channels are covered: where several channels belong to one taxel (the axes of a magnetometer), the
-    /// name alone says which number of a frame is which, and recordings are matched by it.
+    /// name alone says which number of a frame is which, and recordings are matched by it. Where taxels are is covered to
+    /// 0.1 µm: families compute it, and the last digits of a sine are not the same on every machine.
     #[must_use]
     pub fn hash(&self) -> String {
-        digest(&self.identity())
+        digest(&self.identity(&self.taxels.iter().map(Taxel::rounded).collect::<Vec<_>>()))
     }
 
-    /// The hash as versions before this one wrote it, which covered the name.
-    pub(crate) fn hash_of_named(&self, name: &str) -> String {
-        let mut identity = self.identity();
+    /// The hashes as earlier versions wrote them: with every digit of the taxels, and before that with the name, too.
+    pub(crate) fn earlier_hashes(&self, name: &str) -> [String; 2] {
+        let mut identity = self.identity(&self.taxels);
+        let exact = digest(&identity);
         identity["name"] = name.into();
-        digest(&identity)
+        [exact, digest(&identity)]
     }
 
-    fn identity(&self) -> serde_json::Value {
+    fn identity(&self, taxels: &[Taxel]) -> serde_json::Value {
         serde_json::json!({
             "schema": self.schema,
             "sensor": self.sensor,
             "unit": self.unit,
             "surface": self.surface.identity(),
-            "taxels": self.taxels,
+            "taxels": taxels,
             "channels": self.channels,
             "medium": self.medium,
         })
@@ -362,6 +364,26 @@ mod tests {
         assert_eq!(hash(PAD), hash(&PAD.replace("name = \"pad\"", "name = \"left-pad\"")));
         assert_ne!(hash(PAD), hash(&PAD.replace("-0.005] }]", "-0.006] }]")));
         assert_ne!(hash(PAD), hash(&PAD.replace("\"t1\"", "\"t2\"")));
+    }
+
+    /// As on a machine whose sine has another last digit.
+    #[test]
+    fn hash_ignores_the_last_digits_of_taxels() {
+        let pad = SkinDescription::from_toml(PAD, "pad.toml").unwrap();
+        let moved = |by: f64| {
+            let moved = |v: &f64| v * (1.0 + by) - by * 1e-3;
+            let taxels =
+                pad.taxels.iter().cloned().map(|t| Taxel { position: t.position.each_ref().map(moved), ..t });
+            pad.with_taxels(taxels.collect()).unwrap()
+        };
+        let other = moved(1e-13);
+        assert_ne!(pad.taxels, other.taxels);
+        assert_eq!(pad.hash(), other.hash());
+        assert_ne!(pad.hash(), moved(1e-3).hash());
+        // What earlier versions stamped is known on the machine that stamped it.
+        assert!(
+            other.is_type(&other.earlier_hashes("")[0], "") && !pad.is_type(&other.earlier_hashes("")[0], "")
+        );
     }
 
     #[test]

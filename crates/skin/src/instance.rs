@@ -272,11 +272,12 @@ impl SkinDescription {
         self.type_name.as_deref().unwrap_or(&self.name)
     }
 
-    /// Whether a hash that was written for a skin called `name` is that of this type: its [`hash`](Self::hash), or that of
-    /// earlier versions, which covered the name.
+    /// Whether a hash that was written for a skin called `name` is that of this type: its [`hash`](Self::hash), or one of
+    /// earlier versions, which covered every digit of the taxels, and the name.
     #[must_use]
     pub fn is_type(&self, hash: &str, name: &str) -> bool {
-        hash.eq_ignore_ascii_case(&self.hash()) || hash.eq_ignore_ascii_case(&self.hash_of_named(name))
+        let is = |other: &String| hash.eq_ignore_ascii_case(other);
+        is(&self.hash()) || self.earlier_hashes(name).iter().any(is)
     }
 }
 
@@ -340,7 +341,7 @@ mod tests {
         let renamed = skin(&SKIN.replace("name = \"baro-grid\"", "name = \"right-palm\""));
         assert_eq!(renamed.hash(), file.hash());
         // What was stamped with the name in it.
-        let old = file.hash_of_named("baro-grid");
+        let [_, old] = file.earlier_hashes("baro-grid");
         assert!(
             old != file.hash() && renamed.is_type(&old, "baro-grid") && !renamed.is_type(&old, "right-palm")
         );

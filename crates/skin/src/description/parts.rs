@@ -128,6 +128,14 @@ pub struct Taxel {
 }
 
 impl Taxel {
+    /// With positions to 0.1 µm and directions to 1e-7.
+    pub(super) fn rounded(&self) -> Self {
+        // Adding nothing makes a zero of the negative one.
+        let rounded = |of: [f64; 3]| of.map(|v| (v * 1e7).round() / 1e7 + 0.0);
+        let Self { name, position, normal, axis } = self.clone();
+        Self { name, position: rounded(position), normal: rounded(normal), axis: axis.map(rounded) }
+    }
+
     /// Position \[m\].
     #[must_use]
     pub fn point(&self) -> Point3<f64> {

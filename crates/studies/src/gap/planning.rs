@@ -246,7 +246,7 @@ fn diagnosed(named: Option<&Path>, folder: &Path, report: &Report) -> Result<Ski
     if named.is_none() {
         skin.effects.retain(|e| !report.corrected.iter().any(|c| c.name == e.name));
     }
-    if skin.hash() != report.data.skin_hash {
+    if !skin.is_type(&report.data.skin_hash, &report.data.skin) {
         bail!(
             "{}: is another skin than `{}`, which the report is of: name that one with --skin",
             path.display(),
