@@ -10,7 +10,7 @@
 //! Scharf and B. Friedlander, *IEEE Trans. Signal Process.* 42 (1994) 2146). Shear counts against such a press by its square, in units of what is
 //! expected. Among straight presses alone, one that leans looks most like another some millimetres away.
 
-use dermis_model::{ForwardModel, Stimulus, Unknowns, Untouched, tangents};
+use dermis_model::{ForwardModel, Stimulus, Unknowns, Untouched, in_parallel, tangents};
 use dermis_skin::{ModelError, Surface};
 use nalgebra::{DMatrix, Matrix3, Point3, Vector3};
 
@@ -49,6 +49,15 @@ pub(crate) struct Dictionary {
     mismatches: Vec<f64>,
 }
 
+/// What a dictionary has of one place.
+#[derive(Debug, Default)]
+struct Place {
+    responses: Vec<f32>,
+    direction: Vec<f32>,
+    light: Vec<f32>,
+    shear: Option<(Vec<f32>, Matrix3<f64>)>,
+}
+
 /// What shear changes at every place.
 #[derive(Debug)]
 struct Shears {
@@ -63,18 +72,12 @@ struct Shears {
 }
 
 impl Shears {
-    /// Of no place yet.
-    fn new(expected: Option<f64>) -> Self {
-        Self { directions: Vec::new(), triangles: Vec::new(), expected }
-    }
-
-    /// Adds a place, of which `straight` is the whitened response to a press of `force` \[N\].
-    fn add(
-        &mut self,
+    /// Both directions of a place, end to end, and its triangle; `straight` is the whitened response to a press of `force` \[N\] there.
+    fn of(
         location: &Location,
         (straight, force): (&[f64], f64),
         whitened: impl Fn(Vector3<f64>) -> Result<Vec<f64>, ModelError>,
-    ) -> Result<(), ModelError> {
+    ) -> Result<(Vec<f32>, Matrix3<f64>), ModelError> {
         let mut columns = DMatrix::zeros(straight.len(), 3);
         columns.column_mut(0).copy_from_slice(straight);
         for (k, axis) in tangents(&location.normal).iter().enumerate() {
@@ -89,9 +92,8 @@ impl Shears {
             q.column_mut(0).neg_mut();
             r.row_mut(0).neg_mut();
         }
-        self.directions.extend(q.columns(1, 2).iter().map(|value| *value as f32));
-        self.triangles.push(r.fixed_view::<3, 3>(0, 0).into_owned());
-        Ok(())
+        let directions = q.columns(1, 2).iter().map(|value| *value as f32).collect();
+        Ok((directions, r.fixed_view::<3, 3>(0, 0).into_owned()))
     }
 
     /// The press that makes these parts of residuals along the three directions of a place: what it explains of their square, its shear counted
@@ -148,9 +150,6 @@ impl Dictionary {
         let forces: Vec<f64> = LEVELS.iter().map(|share| share * settings.force_max).collect();
         let channels = model.channels();
         let untouched = Untouched::of(model)?;
-        let mut responses = Vec::with_capacity(locations.len() * forces.len() * channels);
-        let mut directions = Vec::with_capacity(locations.len() * channels);
-        let mut light = Vec::new();
         let signal = |location: &Location, force: Vector3<f64>| -> Result<Vec<f64>, ModelError> {
             let mut out = vec![0.0; channels];
             let contacts = vec![settings.indentation(location.position, force)];
@@ -162,26 +161,41 @@ impl Dictionary {
         let whitened =
             |signal: Vec<f64>| -> Vec<f64> { signal.iter().zip(model.noise()).map(|(v, n)| v / n).collect() };
         let leans = settings.search == Search::Near && settings.unknowns == Unknowns::Full && channels >= 3;
-        let mut shears = leans.then(|| Shears::new(settings.shear));
         let unit = |whitened: &[f64]| -> Vec<f32> {
             let length = whitened.iter().map(|v| v * v).sum::<f64>().sqrt();
             whitened.iter().map(|v| if length > 0.0 { v / length } else { 0.0 } as f32).collect()
         };
-        for location in &locations {
+        let place = |location: &Location| -> Result<Place, ModelError> {
+            let mut place = Place::default();
             for (level, force) in forces.iter().enumerate() {
                 let out = signal(location, -location.normal * *force)?;
-                responses.extend(out.iter().map(|v| *v as f32));
+                place.responses.extend(out.iter().map(|v| *v as f32));
                 if level == LIGHT && settings.search == Search::Near {
-                    light.extend(unit(&whitened(out)));
+                    place.light = unit(&whitened(out));
                 } else if level == SHAPE {
                     let straight = whitened(out);
-                    directions.extend(unit(&straight));
-                    if let Some(shears) = &mut shears {
-                        shears.add(location, (&straight, *force), |force| {
-                            Ok(whitened(signal(location, force)?))
-                        })?;
+                    place.direction = unit(&straight);
+                    if leans {
+                        let by_force = |force| Ok(whitened(signal(location, force)?));
+                        place.shear = Some(Shears::of(location, (&straight, *force), by_force)?);
                     }
                 }
+            }
+            Ok(place)
+        };
+        let mut responses = Vec::with_capacity(locations.len() * forces.len() * channels);
+        let mut directions = Vec::with_capacity(locations.len() * channels);
+        let mut light = Vec::new();
+        let empty = || Shears { directions: Vec::new(), triangles: Vec::new(), expected: settings.shear };
+        let mut shears = leans.then(empty);
+        for place in in_parallel(locations.len(), |i| place(&locations[i])) {
+            let place = place?;
+            responses.extend(place.responses);
+            directions.extend(place.direction);
+            light.extend(place.light);
+            if let (Some(shears), Some((directions, triangle))) = (&mut shears, place.shear) {
+                shears.directions.extend(directions);
+                shears.triangles.push(triangle);
             }
         }
         let neighbours = beside(&locations, BESIDE * spacing);

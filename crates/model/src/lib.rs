@@ -8,6 +8,7 @@
 //! | state | [`DeviceState`], [`Memory`] | a device from when it was switched on, and what it remembers from frame to frame |
 //! | derivatives | [`ForwardModel::jacobian`], [`Differences`] | channels by the [`Unknowns`] of contacts |
 //! | common effects | [`COMMON`], [`device()`] | what every device may have: electronics, placement, the rig |
+//! | work in parallel | [`in_parallel`] | the same of many contacts, pixels, devices at a time |
 //! | wrappers | [`Wrapper`], [`WithNoise`] | models around models |
 //!
 //! Everything that works on readings (testbed, training, inversion, bounds, diagnosis) is written on [`ForwardModel`].
@@ -16,6 +17,7 @@ mod case;
 mod differences;
 mod effects;
 mod forward;
+mod parallel;
 mod state;
 mod stimulus;
 #[cfg(any(test, feature = "test-suite"))]
@@ -31,6 +33,7 @@ pub use effects::{
     COMMON, CommonEffect, CommonParameters, NEUTRAL_TEMPERATURE, Stage, common_effect, diagnosis, full_scale,
 };
 pub use forward::ForwardModel;
+pub use parallel::in_parallel;
 pub use state::{DeviceState, Memory, Memoryless, Stepped};
 pub use stimulus::{Indentation, Stimulus, Tip, TipShape};
 pub use unknowns::{Unknown, Unknowns, tangents};

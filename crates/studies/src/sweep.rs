@@ -12,14 +12,14 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use anyhow::{Result, bail};
 use clap::{Args, ValueEnum as _};
 use dermis_figures::short;
-use dermis_model::{ForwardModel, TipShape, Unknowns, WithNoise};
+use dermis_model::{ForwardModel, TipShape, Unknowns, WithNoise, in_parallel};
 use dermis_skin::{SkinDescription, SurfaceSpec};
 use dermis_theory::resolution::{along_line, on_surface};
 use dermis_theory::{Responses, Summary, force_ladder, over_surface};
 use serde::{Deserialize, Serialize, Serializer};
 use serde_json::json;
 
-use crate::variation::{Parameter, in_parallel};
+use crate::variation::Parameter;
 use crate::{Families, Progress};
 
 /// Values of each parameter, relative to the one that the skin has.
@@ -254,7 +254,8 @@ fn variants(
     let work: Vec<(Parameter, f64)> =
         parameters.iter().flat_map(|p| factors(*p).iter().map(move |f| (*p, *f))).collect();
     let done = AtomicUsize::new(0);
-    let found = in_parallel(&work, |&(parameter, relative)| {
+    let found = in_parallel(work.len(), |i| {
+        let (parameter, relative) = work[i];
         let figures = if relative == 1.0 {
             Ok(nominal)
         } else {

@@ -1,7 +1,5 @@
 //! Skins that differ from a description in one number.
 
-use std::sync::atomic::{AtomicUsize, Ordering};
-
 use anyhow::{Result, bail};
 use clap::ValueEnum;
 use dermis_skin::{SkinDescription, SurfaceSpec};
@@ -165,29 +163,6 @@ fn nearest(points: &[Point3<f64>]) -> Vec<f64> {
     (0..points.len()).map(to_others).filter(|d| d.is_finite()).collect()
 }
 
-/// Works on all items, as many at a time as there are processors; answers in the order of the items.
-pub fn in_parallel<T: Sync, R: Send>(items: &[T], work: impl Fn(&T) -> R + Sync) -> Vec<R> {
-    let workers = std::thread::available_parallelism().map_or(1, usize::from).min(items.len());
-    let next = AtomicUsize::new(0);
-    let mut found: Vec<(usize, R)> = std::thread::scope(|scope| {
-        let one = || {
-            let mut mine = Vec::new();
-            loop {
-                let i = next.fetch_add(1, Ordering::Relaxed);
-                let Some(item) = items.get(i) else { return mine };
-                mine.push((i, work(item)));
-            }
-        };
-        let threads: Vec<_> = (0..workers).map(|_| scope.spawn(one)).collect();
-        threads
-            .into_iter()
-            .flat_map(|thread| thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
-            .collect()
-    });
-    found.sort_by_key(|(i, _)| *i);
-    found.into_iter().map(|(_, result)| result).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use std::path::Path;
@@ -210,13 +185,6 @@ mod tests {
             }
             assert_eq!(parameter.scaled(&skin, 1.0).unwrap().hash(), skin.hash(), "{parameter:?}");
         }
-    }
-
-    #[test]
-    fn answers_come_in_order() {
-        let items: Vec<u32> = (0..50).collect();
-        assert_eq!(in_parallel(&items, |i| i * 2), items.iter().map(|i| i * 2).collect::<Vec<_>>());
-        assert!(in_parallel(&[] as &[u32], |i| *i).is_empty());
     }
 
     #[test]

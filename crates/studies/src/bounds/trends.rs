@@ -3,14 +3,14 @@
 use std::sync::Arc;
 
 use anyhow::Result;
-use dermis_model::ForwardModel;
+use dermis_model::{ForwardModel, in_parallel};
 use dermis_skin::SkinDescription;
 use dermis_theory::{Isoline, Path, Responses, force_ladder};
 use nalgebra::{Point3, Vector3};
 use serde::Serialize;
 
 use crate::Families;
-use crate::variation::{Parameter, in_parallel};
+use crate::variation::Parameter;
 
 /// \[N\] straight above the taxel, at which the nominal skin reads the value whose isolines are drawn.
 const FORCE: f64 = 0.1;
@@ -82,7 +82,8 @@ pub fn trends(
         work.extend(factors.iter().map(|factor| (parameter, at * factor, *factor)));
     }
     // What cannot be, a taxel below its medium, say, is left out.
-    let drawn = in_parallel(&work, |&(parameter, at, factor)| {
+    let drawn = in_parallel(work.len(), |i| {
+        let (parameter, at, factor) = work[i];
         let varied = if factor == 1.0 {
             Arc::clone(model)
         } else {

@@ -5,6 +5,7 @@
 //!
 //! Cost: 2 µs a pixel of a smooth inside; with ridges five times as much for each part of it.
 
+use dermis_model::in_parallel;
 use nalgebra::{Point3, Vector3};
 
 use super::lens::Camera;
@@ -200,23 +201,6 @@ fn ridged(
         }
     }
     (base, moved)
-}
-
-/// What `of` says of each of so many numbers, on all threads of the machine.
-fn in_parallel<T: Send + Copy>(count: usize, of: impl Fn(usize) -> T + Sync) -> Vec<T> {
-    let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    let part = count.div_ceil(threads).max(1);
-    let parts: Vec<Vec<T>> = std::thread::scope(|scope| {
-        let of = &of;
-        let run = |k: usize| scope.spawn(move || (k * part..((k + 1) * part).min(count)).map(of).collect());
-        let running: Vec<_> = (0..count.div_ceil(part)).map(run).collect();
-        // A thread that panics takes this one with it.
-        running
-            .into_iter()
-            .map(|r| r.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
-            .collect()
-    });
-    parts.concat()
 }
 
 /// By node of the grid with one column more, what a picture's values are multiplied by; none where nothing is.
