@@ -28,6 +28,7 @@ use crate::fit::{Datum, LEAST_GAIN, Minimum, Problem, STRIDE};
 use crate::pairs::Pairs;
 use crate::settings::{InverterError, Search, Settings};
 use modes::Mode;
+use nearby::ROUGH_GAIN;
 use starts::Start;
 
 /// A weak contact whose place is known no better than this many spacings of the dictionary is answered by the mean over
@@ -214,21 +215,28 @@ impl Inverter {
         (best, (whole - best) / freedom as f64)
     }
 
-    /// One contact, at the place of the dictionary that explains `readings` best, moved to where it explains them better: what can be had while
-    /// a search takes its time.
+    /// What can be had while a search takes its time: contacts near `starts`, or one near the place of the dictionary that explains `readings` best
+    /// where there are none, moved to where they explain them better. Where responses are dear ([`Search::Near`]), they come to about a
+    /// deviation of the noise from there.
     ///
     /// # Errors
     ///
     /// [`InverterError::Channels`] for readings of another skin.
-    pub fn first_guess(&self, readings: &[Reading]) -> Result<Solution, InverterError> {
+    pub fn guess(&self, readings: &[Reading], starts: &[Indentation]) -> Result<Solution, InverterError> {
         self.check(readings)?;
         let data = self.data(readings);
-        let untouched = Minimum::untouched(&data);
-        let Some(start) = self.matches(&data, &untouched.signal, 1, 1.0).pop() else {
-            return Ok(self.solution(&untouched, &data));
-        };
-        let best = self.problem(&data).minimise(vec![start])?;
-        Ok(self.solution(&best, &data))
+        let mut starts = starts.to_vec();
+        if starts.is_empty() {
+            starts = self.matches(&data, &Minimum::untouched(&data).signal, 1, 1.0);
+        }
+        if starts.is_empty() {
+            return Ok(self.solution(&Minimum::untouched(&data), &data));
+        }
+        let mut problem = self.problem(&data);
+        if self.settings.search == Search::Near {
+            problem.least_gain = ROUGH_GAIN;
+        }
+        Ok(self.solution(&self.refined(&problem, &data, starts)?, &data))
     }
 
     /// Whether a contact's place is all but open: in every direction of the surface. Where it is open in one only, least squares know

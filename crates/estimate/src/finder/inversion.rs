@@ -110,7 +110,7 @@ pub(crate) fn provisional(
     if starts.is_empty() {
         starts = learned.starts(inverter);
     }
-    if starts.is_empty() { inverter.first_guess(readings) } else { inverter.refine(readings, &starts) }
+    inverter.guess(readings, &starts)
 }
 
 fn is_known(contact: &Contact) -> bool {

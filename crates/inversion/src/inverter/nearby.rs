@@ -40,8 +40,8 @@ const MOVE: f64 = 1e-4;
 const WIDER: f64 = 1.4;
 /// What a tip of another diameter must explain more of the sum of squared deviations: three deviations of the noise.
 const TELLING: f64 = 9.0;
-/// What a step gains at the least while tips are compared.
-const ROUGH_GAIN: f64 = 1.0;
+/// What a step gains at the least while tips are compared, and of guesses.
+pub(super) const ROUGH_GAIN: f64 = 1.0;
 /// Factor by which a start may press more or less than the contact does that it stands in for.
 const HARDER: f64 = 5.0;
 

@@ -13,7 +13,7 @@ use super::modes::Mode;
 use super::starts::{APART, Start};
 use super::{Inverter, counted, plausible};
 use crate::contact::{Reading, Solution};
-use crate::fit::{Minimum, Problem};
+use crate::fit::{Datum, Minimum, Problem};
 use crate::settings::InverterError;
 
 /// Pairs of locations, and single ones, that a search begins at.
@@ -35,13 +35,21 @@ impl Inverter {
     pub fn refine(&self, readings: &[Reading], starts: &[Indentation]) -> Result<Solution, InverterError> {
         self.check(readings)?;
         let data = self.data(readings);
-        let problem = self.problem(&data);
-        let most = self.most(&data);
-        let mut strongest = starts.to_vec();
-        strongest.sort_by(|a, b| b.force.norm().total_cmp(&a.force.norm()));
-        strongest.truncate(most);
-        let mut best = problem.minimise(strongest)?;
-        let error = self.misfit(&best, &data);
+        let best = self.refined(&self.problem(&data), &data, starts.to_vec())?;
+        Ok(self.solution(&best, &data))
+    }
+
+    /// The same as a minimum of `problem`.
+    pub(super) fn refined(
+        &self,
+        problem: &Problem<'_>,
+        data: &[Datum],
+        mut starts: Vec<Indentation>,
+    ) -> Result<Minimum, InverterError> {
+        starts.sort_by(|a, b| b.force.norm().total_cmp(&a.force.norm()));
+        starts.truncate(self.most(data));
+        let mut best = problem.minimise(starts)?;
+        let error = self.misfit(&best, data);
         while best.contacts.len() > 1 {
             let weakest = (0..best.contacts.len())
                 .min_by(|a, b| best.contacts[*a].force.norm().total_cmp(&best.contacts[*b].force.norm()));
@@ -49,13 +57,13 @@ impl Inverter {
             weakest.map(|i| fewer.remove(i));
             let fewer = problem.minimise(fewer)?;
             // Each contact less leaves about as many units more to noise as it had unknowns.
-            let explained = left(&fewer, &data, error) - left(&best, &data, error);
+            let explained = left(&fewer, data, error) - left(&best, data, error);
             if explained >= self.settings.evidence && self.apart(&best) {
                 break;
             }
             best = fewer;
         }
-        Ok(self.solution(&best, &data))
+        Ok(best)
     }
 
     /// As [`solve`](Self::solve), but looks for two contacts among all pairs of locations, not for the second beside the first:
