@@ -284,7 +284,7 @@ fn moved_wall() -> Result<[Case; 3], String> {
                 "inside that moves inwards by {} mm everywhere: how far its looks are off, over their change",
                 by * 1e3
             ),
-            "a thumb whose elastomer is thicker by as much, rays followed by Newton's method",
+            "a thumb whose elastomer is thicker by as much, whose rays are followed anew",
             "",
             [(off / whole).sqrt(), 0.0],
             (within, 1.0),

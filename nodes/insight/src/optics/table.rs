@@ -3,7 +3,7 @@
 //! Rays meet the inside in closed form, and the slope of its fovea by sampling and bisection. Ridges are averaged over parts of a pixel, as a coarser picture of a
 //! finer camera is. Albedo, glints and blur change the table where nothing touches.
 //!
-//! Cost: 2 µs a pixel of a smooth inside; with ridges five times as much for each part of it.
+//! Cost: a ray and a lighting for each pixel of a smooth inside; with ridges a ray and five lightings for each part of it.
 
 use dermis_model::in_parallel;
 use nalgebra::{Point3, Vector3};
