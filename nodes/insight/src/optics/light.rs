@@ -93,7 +93,7 @@ impl Light {
     /// What one lamp sends to a point, per unit of its intensity: 1 on a plane that faces it at the reference distance, in its beam.
     #[must_use]
     pub fn irradiance(&self, lamp: &Lamp, p: &Point3<f64>, normal: &Vector3<f64>) -> f64 {
-        self.beam_at(lamp, p).map_or(0.0, |(beam, l, _)| beam * normal.dot(&l).max(0.0))
+        self.beam_at(lamp, p).map_or(0.0, |lit| lit.strength * normal.dot(&lit.towards).max(0.0))
     }
 
     /// How many lamps' beams reach a point, by half of their strength or more.
@@ -120,8 +120,8 @@ impl Light {
         1.0 - smooth_step(beyond / self.beam.edge + 0.5)
     }
 
-    /// Strength of a lamp's beam at a point over the square of the distance, the direction to the lamp, and the distance.
-    fn beam_at(&self, lamp: &Lamp, p: &Point3<f64>) -> Option<(f64, Vector3<f64>, f64)> {
+    /// A lamp, where its beam reaches a point.
+    fn beam_at<'a>(&self, lamp: &'a Lamp, p: &Point3<f64>) -> Option<Reaching<'a>> {
         let inside = self.inside_beam(lamp, p);
         if inside <= 0.0 {
             return None;
@@ -129,16 +129,14 @@ impl Light {
         let way = lamp.position - p;
         let square = way.norm_squared();
         let distance = square.sqrt();
-        Some((inside * REFERENCE * REFERENCE / square, way / distance, distance))
+        let strength = inside * REFERENCE * REFERENCE / square;
+        Some(Reaching { lamp, strength, towards: way / distance })
     }
 
     /// The lamps whose beams reach a point.
     pub(super) fn reaching(&self, p: &Point3<f64>) -> impl Iterator<Item = Reaching<'_>> {
         let at = *p;
-        self.lamps.iter().filter_map(move |lamp| {
-            let (strength, towards, _) = self.beam_at(lamp, &at)?;
-            Some(Reaching { lamp, strength, towards })
-        })
+        self.lamps.iter().filter_map(move |lamp| self.beam_at(lamp, &at))
     }
 
     /// Light of each colour of the lamps that a point of the inside sends to the camera; `normal` points inwards, `view` to the camera.

@@ -1,7 +1,7 @@
 //! What the table of a picture is made of: where rays meet the inside, and what they see there.
 //!
-//! Rays meet the inside in closed form, and the slope of its fovea by sampling and bisection. Ridges are averaged over parts of a pixel, as a coarser picture of a
-//! finer camera is. Albedo, glints and blur change the table where nothing touches.
+//! Rays meet the inside in closed form, and the slope of its fovea by sampling and bisection. Ridges are averaged over parts of a pixel, as a
+//! coarser picture of a finer camera is. Albedo, glints and blur change the table where nothing touches.
 //!
 //! Cost: a ray and a lighting for each pixel of a smooth inside; with ridges a ray and five lightings for each part of it.
 
@@ -22,10 +22,10 @@ const MOVED: f64 = 0.3;
 const FINE: u32 = 1640;
 const PARTS: u32 = 2;
 
-/// \[m\] along a ray.
+/// \[m\] to which the length of a ray is known.
 const CLOSE: f64 = 1e-9;
-/// Along a ray from where the elastomer is thickest to where it is thinnest: parts of less than the width of a fovea's slope.
-const SAMPLES: f64 = 32.0;
+/// Parts of a ray between where the elastomer could be thickest and where it could be thinnest, each shorter than the slope of a fovea is wide.
+const SAMPLES: u32 = 32;
 
 /// What a pixel sees.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -138,7 +138,7 @@ pub fn meets(elastomer: &Elastomer, camera: &Camera, pixel: [f64; 2]) -> Option<
     met_along(elastomer, &camera.position, &camera.direction(pixel)?)
 }
 
-/// (s, φ) where a ray from a point along a unit vector meets the inside for the first time; \[m\] along the ray to it is within [`CLOSE`].
+/// (s, φ) where a ray from a point along a unit vector meets the inside for the first time, to 1 nm along the ray.
 ///
 /// In closed form where the elastomer is as thick as it can be; along the slope of a fovea by sampling and bisection: a ray that grazes the
 /// slope can pass through it, and the wall is met again behind it.
@@ -153,12 +153,10 @@ pub fn met_along(elastomer: &Elastomer, from: &Point3<f64>, ray: &Vector3<f64>) 
     let first = thumb.way_out(from, ray, thick)?;
     let (mut place, left) = met(first);
     if left > CLOSE {
-        let part = (thumb.way_out(from, ray, thin)? - first) / SAMPLES;
-        let mut within = first;
-        while met(within + part).1 > 0.0 && within < first + (SAMPLES - 1.5) * part {
-            within += part;
-        }
-        let mut beyond = within + part;
+        let part = (thumb.way_out(from, ray, thin)? - first) / f64::from(SAMPLES);
+        let sample = |k: u32| first + f64::from(k) * part;
+        let end = (1..SAMPLES).find(|k| met(sample(*k)).1 <= 0.0).unwrap_or(SAMPLES);
+        let [mut within, mut beyond] = [end - 1, end].map(sample);
         while beyond - within > CLOSE {
             let middle = f64::midpoint(within, beyond);
             if met(middle).1 > 0.0 { within = middle } else { beyond = middle }
