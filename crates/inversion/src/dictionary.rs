@@ -73,7 +73,7 @@ struct Shears {
 
 impl Shears {
     /// Both directions of a place, end to end, and its triangle; `straight` is the whitened response to a press of `force` \[N\] there.
-    fn of(
+    fn at(
         location: &Location,
         (straight, force): (&[f64], f64),
         whitened: impl Fn(Vector3<f64>) -> Result<Vec<f64>, ModelError>,
@@ -177,7 +177,7 @@ impl Dictionary {
                     place.direction = unit(&straight);
                     if leans {
                         let by_force = |force| Ok(whitened(signal(location, force)?));
-                        place.shear = Some(Shears::of(location, (&straight, *force), by_force)?);
+                        place.shear = Some(Shears::at(location, (&straight, *force), by_force)?);
                     }
                 }
             }
@@ -186,18 +186,18 @@ impl Dictionary {
         let mut responses = Vec::with_capacity(locations.len() * forces.len() * channels);
         let mut directions = Vec::with_capacity(locations.len() * channels);
         let mut light = Vec::new();
-        let empty = || Shears { directions: Vec::new(), triangles: Vec::new(), expected: settings.shear };
-        let mut shears = leans.then(empty);
+        let (mut sheared, mut triangles) = (Vec::new(), Vec::new());
         for place in in_parallel(locations.len(), |i| place(&locations[i])) {
             let place = place?;
             responses.extend(place.responses);
             directions.extend(place.direction);
             light.extend(place.light);
-            if let (Some(shears), Some((directions, triangle))) = (&mut shears, place.shear) {
-                shears.directions.extend(directions);
-                shears.triangles.push(triangle);
+            if let Some((directions, triangle)) = place.shear {
+                sheared.extend(directions);
+                triangles.push(triangle);
             }
         }
+        let shears = leans.then_some(Shears { directions: sheared, triangles, expected: settings.shear });
         let neighbours = beside(&locations, BESIDE * spacing);
         let mismatches =
             neighbours.iter().enumerate().map(|(i, all)| mismatch(&directions, channels, i, all));

@@ -7,6 +7,7 @@
 
 use std::sync::atomic::Ordering;
 
+use dermis_model::in_parallel;
 use dermis_skin::Effect;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -239,17 +240,7 @@ fn spread(
         let moved = groups.reduction(&losses, &groups.kept) - groups.reduction(linear, &groups.kept);
         Some(moved + groups.reduction(after, ends) - groups.reduction(after, &groups.kept))
     };
-    // Two threads, as all simulations have.
-    let (first, last) = draws.split_at(draws.len() / 2);
-    let drawn: Option<Vec<f64>> = std::thread::scope(|scope| {
-        let other = scope.spawn(|| last.iter().map(again).collect::<Option<Vec<f64>>>());
-        let mut found = first.iter().map(again).collect::<Option<Vec<f64>>>()?;
-        match other.join() {
-            Ok(more) => found.extend(more?),
-            Err(panic) => std::panic::resume_unwind(panic),
-        }
-        Some(found)
-    });
+    let drawn: Option<Vec<f64>> = in_parallel(draws.len(), |i| again(&draws[i])).into_iter().collect();
     let drawn = drawn.ok_or(GapError::Interrupted)?;
     Ok((drawn.iter().map(|d| d * d).sum::<f64>() / drawn.len().max(1) as f64).sqrt())
 }

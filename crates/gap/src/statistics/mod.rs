@@ -12,6 +12,8 @@ pub(crate) mod tests;
 
 use std::sync::Arc;
 
+use dermis_model::in_parallel;
+
 use crate::algebra::{cholesky, forward};
 use crate::samples::Samples;
 
@@ -86,18 +88,7 @@ impl Statistics {
         for (i, row) in samples.list.iter().enumerate() {
             members[row.group].push(i);
         }
-        let of = |member: &Vec<usize>| group(columns, residual, &layout, channels, member);
-        // Two threads, as all simulations have.
-        let (first, last) = members.split_at(members.len() / 2);
-        let mut groups = Vec::with_capacity(members.len());
-        std::thread::scope(|scope| {
-            let other = scope.spawn(|| last.iter().map(of).collect::<Vec<_>>());
-            groups.extend(first.iter().map(of));
-            match other.join() {
-                Ok(found) => groups.extend(found),
-                Err(panic) => std::panic::resume_unwind(panic),
-            }
-        });
+        let groups = in_parallel(members.len(), |i| group(columns, residual, &layout, channels, &members[i]));
         Self { layout, groups }
     }
 
